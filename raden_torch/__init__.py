@@ -1,0 +1,70 @@
+"""Measure how mother-of-pearl inlay (raden) reflects, keep it as a model, light images with it.
+
+The public names are imported when they are first used, so that `import raden_torch` costs no more
+than the standard library, and code that needs no torch loads none.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "BrdfMeasurement": "raden_torch.measurement",
+    "DirectionalLight": "raden_torch.brdf.lights",
+    "GBuffer": "raden_torch.brdf.gbuffer",
+    "PointLight": "raden_torch.brdf.lights",
+    "RadenBrdf": "raden_torch.brdf.model",
+    "SpotLight": "raden_torch.brdf.lights",
+    "fit": "raden_torch.brdf.fit",
+    "load_measurement": "raden_torch.capture.importers",
+    "load_model": "raden_torch.brdf.model_file",
+    "raden_angles": "raden_torch.geometry",
+    "save_model": "raden_torch.brdf.model_file",
+    "shade": "raden_torch.brdf.shade",
+    "simulate_specimen": "raden_torch.optics",
+    "vectors_from_angles": "raden_torch.geometry",
+}
+
+__all__ = [
+    "BrdfMeasurement",
+    "DirectionalLight",
+    "GBuffer",
+    "PointLight",
+    "RadenBrdf",
+    "SpotLight",
+    "fit",
+    "load_measurement",
+    "load_model",
+    "raden_angles",
+    "save_model",
+    "shade",
+    "simulate_specimen",
+    "vectors_from_angles",
+]
+
+if TYPE_CHECKING:
+    from raden_torch.brdf.fit import fit
+    from raden_torch.brdf.gbuffer import GBuffer
+    from raden_torch.brdf.lights import DirectionalLight, PointLight, SpotLight
+    from raden_torch.brdf.model import RadenBrdf
+    from raden_torch.brdf.model_file import load_model, save_model
+    from raden_torch.brdf.shade import shade
+    from raden_torch.capture.importers import load_measurement
+    from raden_torch.geometry import raden_angles, vectors_from_angles
+    from raden_torch.measurement import BrdfMeasurement
+    from raden_torch.optics import simulate_specimen
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'raden_torch' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

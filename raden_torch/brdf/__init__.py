@@ -1,0 +1,1 @@
+"""The model: angles to reflectance, and reflectance to an image."""

@@ -1,0 +1,81 @@
+"""From scene-linear RGB to a picture: the display transform, which comes last, and the file."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from raden_torch.errors import InputError
+from raden_torch.files import check_writable, written_beside
+
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
+
+
+def to_display(image: Tensor, exposure_ev: float = 0.0) -> Tensor:
+    """Scene-linear `[B, 3, H, W]` → sRGB in 0…1: exposure in stops, clipping, the sRGB curve.
+
+    Out-of-gamut (negative) values are kept up to here and clipped here.
+    """
+    from kornia.color import linear_rgb_to_rgb
+
+    return linear_rgb_to_rgb((image.float() * 2.0**exposure_ev).clamp(0, 1))
+
+
+def auto_exposure_ev(image: Tensor, white: float = 0.9, share: float = 0.995) -> float:
+    """Stops that bring the `share` quantile of the lit pixels' largest channel to `white`."""
+    brightest = image.detach().float().amax(dim=-3).flatten()
+    lit = brightest[brightest > 0]
+    if not len(lit):
+        return 0.0
+    level = float(np.quantile(lit.cpu().numpy(), share))
+    return float(np.log2(white / level))
+
+
+def check_picture_path(path: str | os.PathLike[str]) -> None:
+    """Raise InputError where a picture could not be written, so before the work is done."""
+    path = Path(path)
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        wanted = ", ".join(PICTURE_SUFFIXES)
+        raise InputError(f"{path}: suffix {path.suffix or '(none)'}; one of {wanted} was wanted")
+    check_writable(path)
+
+
+def write_picture(
+    picture: Tensor, path: str | os.PathLike[str], caption: str | None = None
+) -> None:
+    """Write one display-referred `[3, H, W]` picture (0…1) as an 8-bit PNG or JPEG.
+
+    Args:
+        caption: a small line drawn into the lower left corner, as "simulated specimen".
+
+    Raises:
+        InputError: a suffix that is no picture's, or a folder that does not exist.
+    """
+    import cv2
+
+    check_picture_path(path)
+    rgb = (picture.detach().clamp(0, 1) * 255).round().to(torch.uint8).movedim(0, -1).cpu().numpy()
+    bgr = np.ascontiguousarray(rgb[..., ::-1])
+    if caption:
+        _draw_caption(bgr, caption)
+    ok, data = cv2.imencode(Path(path).suffix, bgr)
+    if not ok:
+        raise InputError(f"{path}: OpenCV could not encode the picture")
+    with written_beside(path) as temporary:
+        temporary.write_bytes(data.tobytes())
+
+
+def _draw_caption(bgr: NDArray[np.uint8], caption: str) -> None:
+    import cv2
+
+    height, width = bgr.shape[:2]
+    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.4
+    (text_width, _), _ = cv2.getTextSize(caption, font, scale, 1)
+    scale *= min(1.0, (width - 8) / max(text_width, 1))
+    for colour, thickness in (((0, 0, 0), 3), ((190, 190, 190), 1)):
+        cv2.putText(bgr, caption, (4, height - 6), font, scale, colour, thickness, cv2.LINE_AA)

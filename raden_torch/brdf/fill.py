@@ -1,0 +1,195 @@
+"""Fill the cells of a grid that were not measured, from the ones that were.
+
+In this order: an equivalent geometry, the smoothest continuation of the measured neighbours, and,
+where no measured cell is near, nothing (the caller falls back to the diffuse part).
+
+The smoothest continuation minimises squared second differences along three directions: along the
+mirror ridge (incidence and receiving together, so at constant r − a), along receiving, and along
+tilt. The ridge counts most, since a highlight keeps its shape along it. At a = 0 the ridge goes on
+into its own mirror image, f(−a, r, t) = f(a, −r, −t): a maximum at perpendicular incidence is
+found, not cut off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse.linalg import factorized
+
+from raden_torch.errors import InputError
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+RIDGE_WEIGHT, RECEIVING_WEIGHT, TILT_WEIGHT = 1.0, 0.1, 0.03
+REACH = 3  # grid steps from the nearest measured cell
+_MAX_UNKNOWN = 300_000
+_TIE = 1e-9  # keeps a cell that no difference touches from being singular
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A grid without gaps.
+
+    Attributes:
+        values: `[A, R, T, C]`; NaN in the cells of `without_neighbour`.
+        from_equivalent, from_neighbours, without_neighbour: `[A, R, T]`, the cells that were not
+            measured, by what became of them.
+        averaged: `[A, R, T]`, measured cells that were replaced by the mean over equivalents.
+        asymmetry: mean |difference| of equivalent cells at a = 0 over their mean; NaN if none.
+    """
+
+    values: Floats
+    from_equivalent: Bools
+    from_neighbours: Bools
+    without_neighbour: Bools
+    averaged: Bools
+    asymmetry: float
+
+
+def fill(axes_deg: tuple[Floats, Floats, Floats], values: Floats) -> Filled:
+    """Fill a uniform grid.
+
+    Args:
+        axes_deg: incidence, receiving, tilt; each uniformly spaced.
+        values: `[A, R, T, C]`, NaN where not measured.
+    """
+    measured = ~np.isnan(values).any(axis=-1)
+    values, averaged, asymmetry = _average_perpendicular(axes_deg, values)
+    values = _fill_retro(axes_deg, values)
+    known = np.asarray(~np.isnan(values).any(axis=-1))
+    near = ndimage.binary_dilation(known, iterations=REACH) & ~known
+    values = _continue_smoothly(axes_deg, values, near)
+    return Filled(
+        values=values,
+        from_equivalent=known & ~measured,
+        from_neighbours=near,
+        without_neighbour=~(known | near),
+        averaged=averaged & measured,
+        asymmetry=asymmetry,
+    )
+
+
+def _average_perpendicular(
+    axes_deg: tuple[Floats, Floats, Floats], values: Floats
+) -> tuple[Floats, Bools, float]:
+    """(0, r, t) ≡ (0, −r, −t): both take the mean of what was measured of them."""
+    values = values.copy()
+    averaged = np.zeros(values.shape[:3], bool)
+    incidence, receiving, tilt = axes_deg
+    j, j2 = _mirrored(receiving)
+    k, k2 = _mirrored(tilt)
+    if abs(incidence[0]) > 1e-6 or not len(j) or not len(k):
+        return values, averaged, float("nan")
+    here = values[0][np.ix_(j, k)]
+    there = values[0][np.ix_(j2, k2)]
+    both = ~np.isnan(here) & ~np.isnan(there)
+    mean = np.where(both, (here + there) / 2, np.where(np.isnan(here), there, here))
+    values[0][np.ix_(j, k)] = mean
+    averaged[0][np.ix_(j, k)] = (both & (here != there)).any(axis=-1)
+    size = np.mean(abs(mean[both])) if both.any() else 0.0
+    asymmetry = float(np.mean(abs(here - there)[both]) / size) if size > 0 else float("nan")
+    return values, averaged, asymmetry
+
+
+def _mirrored(axis: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices of the nodes whose negative is a node too, and of those negatives."""
+    distance = abs(axis[:, None] + axis[None, :])
+    partner = distance.argmin(axis=1)
+    paired = np.flatnonzero(distance.min(axis=1) < 1e-6)
+    return paired, partner[paired]
+
+
+def _fill_retro(axes_deg: tuple[Floats, Floats, Floats], values: Floats) -> Floats:
+    """(a, −a, t) depends on cos a cos t alone: a missing one is read between measured ones."""
+    a, r, t = np.meshgrid(*axes_deg, indexing="ij")
+    retro = abs(a + r) < 1e-6
+    known = ~np.isnan(values).any(axis=-1)
+    missing, measured = retro & ~known, retro & known
+    if not missing.any() or not measured.any():
+        return values
+    theta = np.rad2deg(np.arccos(np.cos(np.deg2rad(a)) * np.cos(np.deg2rad(t))))
+    at, first = np.unique(np.round(theta[measured], 6), return_index=True)
+    if len(at) < 2:
+        return values
+    wanted = theta[missing]
+    above = np.searchsorted(at, wanted - 1e-6).clip(1, len(at) - 1)
+    step = axes_deg[1][1] - axes_deg[1][0]
+    inside = (wanted >= at[0] - 1e-6) & (wanted <= at[-1] + 1e-6)
+    inside &= at[above] - at[above - 1] <= step + 1e-6
+    values = values.copy()
+    i, j, k = np.argwhere(missing)[inside].T
+    for c in range(values.shape[-1]):
+        values[i, j, k, c] = np.interp(wanted[inside], at, values[measured][first, c])
+    return values
+
+
+def _continue_smoothly(
+    axes_deg: tuple[Floats, Floats, Floats], values: Floats, unknown: Bools
+) -> Floats:
+    """Solve for the `unknown` cells; cells that are NaN and not unknown take no part."""
+    if not unknown.any():
+        return values
+    if unknown.sum() > _MAX_UNKNOWN:
+        raise InputError(
+            f"measurement: {int(unknown.sum())} missing cells lie beside measured ones; at most "
+            f"{_MAX_UNKNOWN} can be filled; measure more of them or use a coarser grid"
+        )
+    shape = values.shape[:3]
+    missing = np.isnan(values).any(axis=-1) & ~unknown
+    triples, weights = _second_differences(axes_deg, shape)
+    whole = ~missing.ravel()[triples].any(axis=1)
+    triples, weights = triples[whole], weights[whole]
+    rows = np.repeat(np.arange(len(triples)), 3)
+    data = (weights[:, None] * np.array([1.0, -2.0, 1.0])).ravel()
+    cells = int(np.prod(shape))
+    matrix = sparse.csc_matrix((data, (rows, triples.ravel())), (len(triples), cells))
+    flat = values.reshape(cells, -1).copy()
+    to_find = np.flatnonzero(unknown)
+    given = np.flatnonzero(~(unknown | missing))
+    of_unknown = matrix[:, to_find]
+    normal_equations = (of_unknown.T @ of_unknown + _TIE * sparse.identity(len(to_find))).tocsc()
+    right_side = -of_unknown.T @ (matrix[:, given] @ flat[given])
+    solve = factorized(normal_equations)
+    for c in range(flat.shape[1]):
+        flat[to_find, c] = solve(right_side[:, c])
+    return flat.reshape(values.shape)
+
+
+def _second_differences(
+    axes_deg: tuple[Floats, Floats, Floats], shape: tuple[int, ...]
+) -> tuple[NDArray[np.intp], Floats]:
+    """`[D, 3]` flat cell indices (before, at, after) and `[D]` weights of all differences."""
+    index = np.arange(int(np.prod(shape))).reshape(shape)
+    incidence, receiving, tilt = axes_deg
+    steps = np.array([axis[1] - axis[0] for axis in axes_deg])
+    groups = [
+        (RECEIVING_WEIGHT, index[:, :-2], index[:, 1:-1], index[:, 2:]),
+        (TILT_WEIGHT, index[:, :, :-2], index[:, :, 1:-1], index[:, :, 2:]),
+    ]
+    if abs(steps[0] - steps[1]) < 1e-6:  # the ridge runs through nodes
+        groups.append((RIDGE_WEIGHT, index[:-2, :-2], index[1:-1, 1:-1], index[2:, 2:]))
+        groups.append((RIDGE_WEIGHT, *_across_perpendicular(index, incidence, receiving, tilt)))
+    else:
+        groups.append((RIDGE_WEIGHT, index[:-2], index[1:-1], index[2:]))
+    triples = [np.stack([cell.ravel() for cell in cells], axis=1) for _, *cells in groups]
+    weights = [np.full(len(t), g[0]) for t, g in zip(triples, groups, strict=True)]
+    return np.concatenate(triples), np.concatenate(weights)
+
+
+def _across_perpendicular(
+    index: NDArray[np.intp], incidence: Floats, receiving: Floats, tilt: Floats
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """The ridge difference at a = 0, whose cell before is the equivalent (a1, −(r − a1), −t)."""
+    empty = np.zeros(0, np.intp)
+    if abs(incidence[0]) > 1e-6:
+        return empty, empty, empty
+    j, j2 = _mirrored(receiving)
+    k, k2 = _mirrored(tilt)
+    inner = (j > 0) & (j < len(receiving) - 1) & (j2 < len(receiving) - 1)
+    j, j2 = j[inner], j2[inner]
+    # −(r_j − step) is one node above −r_j, which is node j2
+    return index[1][np.ix_(j2 + 1, k2)], index[0][np.ix_(j, k)], index[1][np.ix_(j + 1, k)]

@@ -1,0 +1,111 @@
+"""The G-buffer: what a renderer or a photograph knows of each pixel before it is lit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from raden_torch import geometry
+from raden_torch.brdf.lights import Triple, as_map
+from raden_torch.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class GBuffer:
+    """Per-pixel maps of a batch of images; all vectors in one frame, of any floating dtype.
+
+    Give `view`, or `position` and `camera`.
+
+    Attributes:
+        normal: `[B, 3, H, W]`, of any length; zero or not finite marks an invalid pixel.
+        view: `[B, 3, H, W]` (or broadcastable) directions to the viewer; `[3]` or `[B, 3]` for a
+            camera at infinity.
+        position: `[B, 3, H, W]` surface points; point and spot lights need it.
+        camera: `[3]` or `[B, 3]`, the viewer's position.
+        mask: `[B, 1, H, W]`, 0…1 or bool: how much of the pixel is this material.
+    """
+
+    normal: Tensor
+    view: Tensor | None = None
+    position: Tensor | None = None
+    camera: Triple | None = None
+    mask: Tensor | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.normal, Tensor) or self.normal.ndim != 4:
+            shape = list(getattr(self.normal, "shape", [type(self.normal).__name__]))
+            raise InputError(f"GBuffer normal: {shape}; a tensor [B, 3, H, W] was wanted")
+        view = self.view
+        if view is None and (self.position is None or self.camera is None):
+            raise InputError("GBuffer: give view, or position and camera")
+        if (isinstance(view, Tensor) and view.ndim <= 2) or isinstance(view, (tuple, list)):
+            object.__setattr__(self, "view", _triple("view", view, self.normal))
+        if self.camera is not None:
+            _triple("camera", self.camera, self.normal)
+        maps = {"normal": self.normal, "view": self.view, "position": self.position}
+        geometry.check_vector_maps(**{k: v for k, v in maps.items() if v is not None})
+        if self.mask is not None:
+            self._check_mask(self.mask)
+
+    @classmethod
+    def from_depth(cls, depth: Tensor, intrinsics: Tensor, mask: Tensor | None = None) -> GBuffer:
+        """A G-buffer from depth alone: positions and normals by kornia.
+
+        Args:
+            depth: `[B, 1, H, W]`, distance along the camera's axis; pixels that are not finite or
+                not positive are masked out.
+            intrinsics: `[3, 3]` or `[B, 3, 3]` pinhole matrix in pixels.
+            mask: `[B, 1, H, W]` or None.
+
+        Returns:
+            In the camera's frame: x right, y down, z forward, the camera at the origin. Normals
+            face the camera; across a jump in depth they are as wrong as the differences they come
+            from.
+        """
+        from kornia.geometry.depth import depth_to_3d_v2, depth_to_normals
+
+        if depth.ndim != 4 or depth.shape[1] != 1 or not depth.is_floating_point():
+            raise InputError(
+                f"depth: {depth.dtype} {list(depth.shape)}; floating-point [B, 1, H, W] was wanted"
+            )
+        if intrinsics.shape[-2:] != (3, 3) or intrinsics.ndim not in (2, 3):
+            raise InputError(
+                f"intrinsics: shape {list(intrinsics.shape)}; [3, 3] or [B, 3, 3] was wanted"
+            )
+        dtype = geometry.working_dtype(depth)
+        matrix = intrinsics.to(depth.device, dtype).expand(len(depth), 3, 3)
+        valid = torch.isfinite(depth) & (depth > 0)
+        # a neutral depth where there is none, so that its neighbours stay finite
+        clean = torch.where(valid, depth, torch.ones_like(depth)).to(dtype)
+        position = depth_to_3d_v2(clean[:, 0], matrix).movedim(-1, 1)
+        normal = depth_to_normals(clean, matrix)
+        outward = torch.where(geometry.dot(normal, position) > 0, -1.0, 1.0).to(dtype)
+        inside = valid if mask is None else valid * mask.to(dtype)
+        return cls(normal * outward, position=position, camera=(0.0, 0.0, 0.0), mask=inside)
+
+    def view_map(self, like: Tensor) -> Tensor:
+        """Directions to the viewer, not unit, in the dtype of `like`."""
+        if self.view is not None:
+            return self.view.to(like.dtype)
+        # __post_init__ saw to it that both are there
+        return as_map(cast(Triple, self.camera), like) - cast(Tensor, self.position).to(like.dtype)
+
+    def _check_mask(self, mask: Tensor) -> None:
+        size = self.normal.shape
+        fits = mask.ndim == 4 and mask.shape[1] == 1
+        fits = fits and all(m in (1, n) for m, n in zip(mask.shape, size, strict=True))
+        if not fits:
+            raise InputError(
+                f"GBuffer mask: shape {list(mask.shape)}; "
+                f"{[size[0], 1, *size[2:]]} was wanted for normal {list(size)}"
+            )
+
+
+def _triple(name: str, value: Triple, like: Tensor) -> Tensor:
+    tensor = torch.as_tensor(value)
+    if tensor.shape[-1:] != (3,) or tensor.ndim not in (1, 2):
+        raise InputError(f"GBuffer {name}: shape {list(tensor.shape)}; [3] or [B, 3] was wanted")
+    return as_map(tensor, like)

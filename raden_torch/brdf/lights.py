@@ -1,0 +1,134 @@
+"""Lights: where they lie from a point, and the irradiance they make on a plane facing them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from raden_torch.errors import InputError
+from raden_torch.geometry import dot
+
+Triple = Tensor | Sequence[float]
+"""Three numbers, or a tensor `[3]` or `[B, 3]` (one for each image of a batch)."""
+
+
+@dataclass(frozen=True)
+class DirectionalLight:
+    """A lamp at infinity.
+
+    Attributes:
+        direction: towards the light, of any length.
+        irradiance: linear RGB, on a plane that faces the light; π lights a perfect white diffuser
+            to radiance 1.
+    """
+
+    direction: Triple
+    irradiance: Triple = (torch.pi, torch.pi, torch.pi)
+
+    def __post_init__(self) -> None:
+        _check(self, direction=self.direction, irradiance=self.irradiance)
+
+    def at(self, position: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
+        """Direction to the light and irradiance facing it, broadcastable to `like`'s batch."""
+        return as_map(self.direction, like), as_map(self.irradiance, like)
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """A small lamp that shines alike in all directions; needs positions in the G-buffer.
+
+    Attributes:
+        position: in the G-buffer's frame and unit of length.
+        intensity: linear RGB; the irradiance facing it at distance d is intensity / d².
+    """
+
+    position: Triple
+    intensity: Triple = (torch.pi, torch.pi, torch.pi)
+
+    def __post_init__(self) -> None:
+        _check(self, position=self.position, intensity=self.intensity)
+
+    def at(self, position: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
+        """`[B, 3, H, W]` each: direction to the light (not unit) and irradiance facing it."""
+        to_light = as_map(self.position, like) - _needed(position, self)
+        return to_light, as_map(self.intensity, like) * _inverse_square(to_light)
+
+
+@dataclass(frozen=True)
+class SpotLight:
+    """A point light with a cone; needs positions in the G-buffer.
+
+    Attributes:
+        position: of the lamp.
+        target: a point that its axis goes through.
+        intensity: linear RGB on the axis.
+        inner_deg, outer_deg: half angles of the cone; full intensity within the inner one, none
+            outside the outer one, a smooth step of the angle's cosine between.
+    """
+
+    position: Triple
+    target: Triple
+    intensity: Triple = (torch.pi, torch.pi, torch.pi)
+    inner_deg: float = 15.0
+    outer_deg: float = 25.0
+
+    def __post_init__(self) -> None:
+        _check(self, position=self.position, target=self.target, intensity=self.intensity)
+        if not 0 <= self.inner_deg < self.outer_deg <= 180:
+            raise InputError(
+                f"SpotLight: inner_deg {self.inner_deg:g}, outer_deg {self.outer_deg:g}; "
+                "0 <= inner < outer <= 180 was wanted"
+            )
+
+    def at(self, position: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
+        """`[B, 3, H, W]` each: direction to the light (not unit) and irradiance facing it."""
+        to_light, irradiance = PointLight(self.position, self.intensity).at(position, like)
+        axis = as_map(self.target, like) - as_map(self.position, like)
+        length = torch.sqrt(dot(to_light, to_light) * dot(axis, axis))
+        cosine = -dot(to_light, axis) / torch.clamp(length, min=torch.finfo(like.dtype).tiny)
+        inner, outer = torch.cos(torch.deg2rad(like.new_tensor([self.inner_deg, self.outer_deg])))
+        x = ((cosine - outer) / (inner - outer)).clamp(0, 1)
+        return to_light, irradiance * (x * x * (3 - 2 * x))
+
+
+Light = DirectionalLight | PointLight | SpotLight
+
+
+def as_map(value: Triple, like: Tensor) -> Tensor:
+    """`[3]` or `[B, 3]` → `[1 or B, 3, 1, 1]`, on the device and in the dtype of `like`."""
+    tensor = torch.as_tensor(value, dtype=like.dtype, device=like.device)
+    return tensor.reshape(-1, 3, 1, 1)
+
+
+def _inverse_square(to_light: Tensor) -> Tensor:
+    """1/d², 0 at d = 0 (a lamp in the surface lights nothing)."""
+    square = dot(to_light, to_light)
+    apart = square > torch.finfo(square.dtype).tiny
+    return torch.where(apart, 1 / torch.where(apart, square, torch.ones_like(square)), 0)
+
+
+def _needed(position: Tensor | None, light: object) -> Tensor:
+    if position is None:
+        raise InputError(
+            f"{type(light).__name__}: it needs the G-buffer's position [B, 3, H, W], which is not "
+            "given; a DirectionalLight needs none"
+        )
+    return position
+
+
+def _check(light: object, **triples: Triple) -> None:
+    for name, value in triples.items():
+        where = f"{type(light).__name__}: {name}"
+        try:
+            tensor = torch.as_tensor(value, dtype=torch.float64)
+        except (TypeError, ValueError, RuntimeError):
+            raise InputError(f"{where} = {value!r}; three numbers were wanted") from None
+        if tensor.ndim not in (1, 2) or tensor.shape[-1] != 3:
+            raise InputError(f"{where} has shape {list(tensor.shape)}; [3] or [B, 3] was wanted")
+        if not torch.isfinite(tensor).all():
+            raise InputError(f"{where} = {value!r} is not finite; three finite numbers were wanted")
+        if name == "direction" and (tensor == 0).all(dim=-1).any():
+            raise InputError(f"{where} is zero; a direction towards the light was wanted")

@@ -1,0 +1,129 @@
+"""`RadenBrdf`: Take's eq. (2), f_r = I_d · diffuse + I_s · specular, as a torch module."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from raden_torch import geometry
+from raden_torch.brdf.diffuse import diffuse
+from raden_torch.brdf.table import ReflectanceTable
+
+
+class CosineDiffuse(nn.Module):
+    """The parameters of eqs (3)–(6): `scale` S in 1/sr and `exponent` n, `[C]` each."""
+
+    def __init__(self, scale: Tensor, exponent: Tensor) -> None:
+        super().__init__()
+        self.scale = nn.Parameter(scale)
+        self.exponent = nn.Parameter(exponent)
+
+    def forward(self, incidence: Tensor, receiving: Tensor, tilt: Tensor) -> Tensor:
+        dtype = incidence.dtype
+        scale, exponent = self.scale.to(dtype), self.exponent.to(dtype)
+        return diffuse(incidence, receiving, tilt, scale, exponent)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a model comes from.
+
+    Attributes:
+        sample, instrument: as the measurement named them.
+        simulated: True where the measurement was computed.
+        measurement_sha256: the hash of the readings (`BrdfMeasurement.sha256`).
+        fit: the fit's report, as plain JSON values.
+    """
+
+    sample: str = ""
+    instrument: str = ""
+    simulated: bool = False
+    measurement_sha256: str = ""
+    fit: dict[str, Any] = field(default_factory=dict)
+
+
+class RadenBrdf(nn.Module):
+    """A reflection model: a diffuse formula and a table of what was measured.
+
+    The specular part is what the table holds beyond the diffuse part, spec = w (table − diffuse),
+    with the table's weight w: 1 where measured, fading to 0 outside. So with both gains at 1 the
+    model is the interpolated measurement itself inside the box, and the diffuse part outside.
+
+    Differentiable in the vectors, the table (`table.values`) and the diffuse parameters
+    (`diffuse.scale`, `diffuse.exponent`). Either part may be None: it then costs nothing.
+
+    Attributes:
+        diffuse_gain, specular_gain: I_d and I_s of eq. (2), plain numbers that may be set.
+        provenance: what the model was fitted to.
+    """
+
+    def __init__(
+        self,
+        diffuse: CosineDiffuse | None,
+        table: ReflectanceTable | None,
+        *,
+        diffuse_gain: float = 1.0,
+        specular_gain: float = 1.0,
+        provenance: Provenance | None = None,
+    ) -> None:
+        super().__init__()
+        self.diffuse = diffuse
+        self.table = table
+        self.diffuse_gain = diffuse_gain
+        self.specular_gain = specular_gain
+        self.provenance = provenance or Provenance()
+
+    def forward(self, normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
+        """f_r of each pixel.
+
+        Args:
+            normal, light, view: `[B, 3, H, W]` directions away from the surface, of any length,
+                broadcastable; float16 and bfloat16 are computed in float32.
+
+        Returns:
+            `[B, 3, H, W]` f_r in 1/sr, linear RGB with sRGB primaries, without the cosine. It is
+            finite for every input and 0 where the light or the viewer is below the horizon or a
+            vector is zero or not finite.
+
+        Raises:
+            InputError: see `raden_angles`.
+        """
+        geometry.check_vector_maps(normal=normal, light=light, view=view)
+        dtype = self.working_dtype(normal, light, view)
+        vectors = (geometry.normalised(m.to(dtype)) for m in (normal, light, view))
+        return self.of_unit_vectors(*vectors)
+
+    def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
+        """`forward` of vectors that are unit, or zero where invalid, and of one dtype."""
+        above = (geometry.dot(n, l) > 0) & (geometry.dot(n, v) > 0)
+        f = self.at_angles(*geometry.angles_from_unit_vectors(n, l, v))
+        return torch.where(above, f, torch.zeros_like(f))
+
+    def at_angles(self, incidence: Tensor, receiving: Tensor, tilt: Tensor) -> Tensor:
+        """f_r by angles, `[..., 1, H, W]` in radians each → `[..., 3, H, W]` in 1/sr.
+
+        Nothing is cut at the horizon here: the caller knows the geometry.
+        """
+        angles = torch.broadcast_tensors(incidence, receiving, tilt)
+        shape = list(angles[0].shape)
+        shape[geometry.XYZ_DIM] = 3
+        diffuse = angles[0].new_zeros(shape) if self.diffuse is None else self.diffuse(*angles)
+        f = self.diffuse_gain * diffuse
+        if self.table is not None and self.specular_gain != 0:
+            total, weight = self.table(*angles)
+            f = f + self.specular_gain * weight * (total - diffuse)
+        return f
+
+    def working_dtype(self, *maps: Tensor) -> torch.dtype:
+        """float64 where an input or the model is, else float32."""
+        return geometry.working_dtype(*maps, *self.parameters())
+
+    def extra_repr(self) -> str:
+        kind = "simulated " if self.provenance.simulated else ""
+        return (
+            f"{kind}{self.provenance.sample!r}, diffuse_gain={self.diffuse_gain}, "
+            f"specular_gain={self.specular_gain}"
+        )

@@ -1,0 +1,65 @@
+"""How far a model is from readings that it was not fitted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from raden_torch.brdf.model import RadenBrdf
+from raden_torch.errors import InputError
+from raden_torch.measurement import BrdfMeasurement
+from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from raden_torch.measurement.readings import WHITE_LEVEL
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of luminance Y (a reflectance factor, perfect diffuser = 100) over readings.
+
+    Attributes:
+        readings: how many were compared.
+        rms: RMS error over the 99.9 % quantile of the measured Y.
+        log_error: mean |Δ log(1 + Y)|; a model's negative Y counts as 0.
+    """
+
+    readings: int
+    rms: float
+    log_error: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.readings} readings: RMS {self.rms:.5f} of the 99.9 % quantile of Y, "
+            f"mean |Δ log(1+Y)| {self.log_error:.5f}"
+        )
+
+
+def score(model: RadenBrdf, readings: BrdfMeasurement) -> Score:
+    """Compare a model with readings, by angles, in float64.
+
+    Raises:
+        InputError: no valid reading.
+    """
+    valid = readings.select(readings.valid)
+    if not len(valid):
+        raise InputError("score: no valid reading to compare with")
+    measured = valid.as_xyz().values[:, 1]
+    to_y = np.linalg.inv(xyz_to_rgb_matrix())[1]
+    predicted = reflectance_factors(model, valid) @ to_y
+    error = predicted - measured
+    logs = np.log1p(np.maximum(predicted, 0)) - np.log1p(np.maximum(measured, 0))
+    level = float(np.quantile(measured, 0.999))
+    return Score(len(valid), float(np.sqrt(np.mean(error**2)) / level), float(np.mean(abs(logs))))
+
+
+def reflectance_factors(model: RadenBrdf, readings: BrdfMeasurement) -> NDArray[np.float64]:
+    """The model at the geometries of readings: `[M, 3]` linear RGB, perfect diffuser = 100."""
+    angles = (
+        torch.from_numpy(np.deg2rad(column))[None, :, None]
+        for column in (readings.incidence_deg, readings.receiving_deg, readings.tilt_deg)
+    )
+    with torch.no_grad():
+        f = model.at_angles(*angles)[:, :, 0]
+    return f.numpy().T * (WHITE_LEVEL * np.pi)

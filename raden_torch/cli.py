@@ -1,0 +1,199 @@
+"""The `raden` command: one thin function a subcommand; the work is done in the library."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from raden_torch.errors import InputError
+from raden_torch.files import check_writable
+
+if TYPE_CHECKING:
+    from raden_torch.brdf.lights import Light
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Measure how mother-of-pearl reflects, keep it as a small model, light images with it.",
+)
+
+ModelFile = Annotated[Path, typer.Argument(help="a model that `raden fit` wrote")]
+
+
+def main() -> None:
+    """Run the command; anything wrong with the input is one line on stderr and exit code 2."""
+    try:
+        app()
+    except InputError as error:
+        _fail(str(error))
+    except OSError as error:
+        _fail(f"{error.filename or 'file'}: {error.strerror or error}")
+    except MemoryError:
+        _fail("not enough memory; use a smaller --size")
+
+
+@app.command(epilog="Example: raden fit shell.csv -o shell.safetensors")
+def fit(
+    measurement: Annotated[Path, typer.Argument(help="a measurement file; its format is found")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="the model file to write")],
+    diffuse_scale: Annotated[
+        str | None, typer.Option(help="S per channel in 1/sr, by hand, as 0.1,0.1,0.1")
+    ] = None,
+    diffuse_exponent: Annotated[
+        str | None, typer.Option(help="n per channel, by hand, as 1,1,1")
+    ] = None,
+) -> None:
+    """Fit a model to a measurement and report how well."""
+    from raden_torch.capture.importers import load_measurement
+
+    check_writable(output)
+    if (diffuse_scale is None) != (diffuse_exponent is None):
+        raise InputError("--diffuse-scale and --diffuse-exponent go together; give both or neither")
+    with _working(f"reading {measurement.name}"):
+        loaded = load_measurement(measurement)
+    with _working("fitting"):
+        from raden_torch.brdf.diffuse_fit import DiffuseParameters
+        from raden_torch.brdf.fit import fit as fit_model
+        from raden_torch.brdf.model_file import save_model
+
+        by_hand = None
+        if diffuse_scale is not None and diffuse_exponent is not None:
+            by_hand = DiffuseParameters(
+                _triple("--diffuse-scale", diffuse_scale),
+                _triple("--diffuse-exponent", diffuse_exponent),
+            )
+        result = fit_model(loaded, diffuse=by_hand)
+        save_model(result.model, output)
+    print(f"{loaded!r}\n{result.report}\nwrote {output}")
+
+
+@app.command(epilog="Example: raden info shell.safetensors --against offgrid.csv")
+def info(
+    file: Annotated[Path, typer.Argument(help="a measurement or a model")],
+    against: Annotated[
+        Path | None, typer.Option(help="readings to score a model on, e.g. off its grid")
+    ] = None,
+) -> None:
+    """Say what a file holds; score a model on readings that it was not fitted to."""
+    from raden_torch.capture.importers import load_measurement
+    from raden_torch.describe import describe_measurement, describe_model
+
+    with _working(f"reading {file.name}"):
+        if not _is_model(file):
+            if against is not None:
+                raise InputError(f"{file}: is a measurement; --against scores a model")
+            text = describe_measurement(load_measurement(file))
+        else:
+            from raden_torch.brdf.model_file import load_model
+            from raden_torch.brdf.score import score
+
+            model = load_model(file)
+            text = describe_model(model)
+            if against is not None:
+                text += f"\nagainst {against.name}: {score(model, load_measurement(against))}"
+    print(text)
+
+
+@app.command(epilog="Example: raden render shell.safetensors --light 1,1,2 -o sphere.png")
+def render(
+    model: ModelFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="the .png or .jpg to write")
+    ] = Path("render.png"),
+    shape: Annotated[str, typer.Option(help="what to show: sphere")] = "sphere",
+    light: Annotated[
+        list[str] | None,
+        typer.Option(help="x,y,z towards a lamp at infinity, or point:x,y,z; may be repeated"),
+    ] = None,
+    camera: Annotated[str, typer.Option(help="the camera's position x,y,z; y is up")] = "0,0,6",
+    size: Annotated[int, typer.Option(help="width and height in pixels")] = 512,
+    samples: Annotated[int, typer.Option(help="rays per pixel along each side")] = 2,
+    exposure: Annotated[str, typer.Option(help="stops, or auto")] = "auto",
+) -> None:
+    """Light a shape with a model."""
+    from raden_torch.brdf.display import check_picture_path
+    from raden_torch.pictures import render_shape, save_picture
+
+    check_picture_path(output)
+    lights = [_light(text) for text in light or ["1,1,2"]]
+    eye, stops = _triple("--camera", camera), _stops(exposure)
+    with _working("rendering"):
+        from raden_torch.brdf.model_file import load_model
+
+        loaded = load_model(model)
+        image = render_shape(loaded, shape, lights, camera=eye, size=size, samples=samples)
+        used = save_picture(image, output, loaded, exposure_ev=stops)
+    print(f"wrote {output} (exposure {used:+.2f} stops)")
+
+
+@app.command(epilog="Example: raden demo --out demo")
+def demo(
+    out: Annotated[Path, typer.Option(help="the folder for the gallery")] = Path("demo"),
+    size: Annotated[int, typer.Option(help="picture size in pixels")] = 512,
+) -> None:
+    """Simulate a shell, fit a model to it, light it, and show all of it on a page."""
+    from raden_torch.demo import run_demo
+
+    page = run_demo(out, size=size)
+    print(f"open {page}")
+
+
+def _is_model(path: Path) -> bool:
+    """A safetensors file starts with the length of a JSON header, then the header."""
+    try:
+        with path.open("rb") as file:
+            return file.read(9)[8:9] == b"{"
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; a measurement or a model was wanted") from None
+
+
+def _light(text: str) -> Light:
+    from raden_torch.brdf.lights import DirectionalLight, PointLight
+
+    kind, colon, numbers = text.rpartition(":")
+    if colon and kind != "point":
+        raise InputError(f"--light {text}: x,y,z or point:x,y,z was wanted")
+    triple = _triple("--light", numbers)
+    return PointLight(triple) if kind else DirectionalLight(triple)
+
+
+def _triple(option: str, text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError(f"{option} {text}: three numbers as 1,1,2 were wanted") from None
+    return x, y, z
+
+
+def _stops(text: str) -> float | None:
+    if text == "auto":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--exposure {text}: a number of stops, or auto, was wanted") from None
+
+
+@contextmanager
+def _working(what: str) -> Iterator[None]:
+    """A spinner on stderr where a person looks on."""
+    from rich.console import Console
+
+    with Console(stderr=True).status(what):
+        yield
+
+
+def _fail(message: str) -> None:
+    print(f"raden: {' '.join(message.split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

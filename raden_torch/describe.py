@@ -1,0 +1,56 @@
+"""What a measurement or a model holds, in words."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from raden_torch.measurement import BrdfMeasurement
+
+if TYPE_CHECKING:
+    from raden_torch.brdf.model import RadenBrdf
+
+
+def describe_measurement(measurement: BrdfMeasurement) -> str:
+    """Sample, size, axes, channels and range, one fact a line."""
+    m, meta = measurement, measurement.metadata
+    kind = "simulated" if meta.simulated else "not simulated, says its header"
+    lines = [
+        f"measurement of {meta.sample or 'an unnamed sample'} ({kind})",
+        f"instrument: {meta.instrument or 'not named'}",
+        f"{len(m)} readings, {int(m.valid.sum())} valid; channels {', '.join(m.channels)}; "
+        f"white {meta.white}, {meta.observer}",
+    ]
+    for name in ("incidence", "receiving", "tilt"):
+        values = np.unique(getattr(m, f"{name}_deg"))
+        step = np.diff(values)
+        by = f" by {step[0]:g}" if len(step) and np.allclose(step, step[0]) else ""
+        lines.append(f"{name}: {values[0]:g}…{values[-1]:g} deg{by}, {len(values)} values")
+    values = m.values[m.valid]
+    if len(values):
+        low, high = values.min(axis=0), values.max(axis=0)
+        lines += [
+            f"{channel}: {lo:g}…{hi:g} (perfect reflecting diffuser = 100)"
+            for channel, lo, hi in list(zip(m.channels, low, high, strict=True))[:8]
+        ]
+    return "\n".join(lines)
+
+
+def describe_model(model: RadenBrdf) -> str:
+    """Sample, table, diffuse parameters, gains and fit, one fact a line."""
+    about = model.provenance
+    kind = "simulated specimen" if about.simulated else "measured specimen"
+    lines = [f"model of {about.sample or 'an unnamed sample'} ({kind})"]
+    if model.table is not None:
+        shape = " x ".join(map(str, model.table.values.shape))
+        lines.append(f"table: {shape}; {model.table.extra_repr()} deg")
+    if model.diffuse is not None:
+        triple = lambda values: ", ".join(f"{v:.4g}" for v in values.tolist())  # noqa: E731
+        lines.append(
+            f"diffuse: S = {triple(model.diffuse.scale)} 1/sr, n = {triple(model.diffuse.exponent)}"
+        )
+    lines.append(f"gains: I_d = {model.diffuse_gain:g}, I_s = {model.specular_gain:g}")
+    lines.append(f"measurement sha256: {about.measurement_sha256 or 'not known'}")
+    lines += [f"warning: {text}" for text in about.fit.get("warnings", ())]
+    return "\n".join(lines)

@@ -1,0 +1,138 @@
+"""Spectral bands → XYZ → linear RGB, through colour-science.
+
+All three are reflectance factors on the scale where the perfect reflecting diffuser is 100, so a
+neutral sample has X : Y : Z of the white and R = G = B.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.errors import InputError
+from raden_torch.measurement.readings import RGB, WHITE_LEVEL, XYZ, BrdfMeasurement, Floats
+
+if TYPE_CHECKING:
+    pass
+
+_OBSERVERS = {
+    "CIE 1931 2 deg": "CIE 1931 2 Degree Standard Observer",
+    "CIE 1964 10 deg": "CIE 1964 10 Degree Standard Observer",
+}
+_VISIBLE_NM = (400.0, 700.0)  # bands must reach this far (within 20 nm) to make a colour
+_MAX_BAND_STEP_NM = 40.0
+
+
+def as_xyz(measurement: BrdfMeasurement) -> BrdfMeasurement:
+    """CIE XYZ reflectance factors under the measurement's white.
+
+    Raises:
+        InputError: bands that do not span the visible range; an unknown white or observer.
+    """
+    if measurement.channels == XYZ:
+        return measurement
+    if measurement.channels == RGB:
+        matrix = np.linalg.inv(
+            xyz_to_rgb_matrix(measurement.metadata.white, _observer(measurement))
+        )
+        return _transformed(measurement, matrix, XYZ)
+    return _transformed(measurement, _bands_to_xyz_matrix(measurement), XYZ)
+
+
+def as_rgb(measurement: BrdfMeasurement) -> BrdfMeasurement:
+    """Linear RGB with sRGB primaries, unclipped: iridescent colours leave the gamut.
+
+    XYZ of a white other than D65 is adapted by the Bradford transform.
+    """
+    if measurement.channels == RGB:
+        return measurement
+    xyz = as_xyz(measurement)
+    matrix = xyz_to_rgb_matrix(xyz.metadata.white, _observer(xyz))
+    return _transformed(xyz, matrix, RGB)
+
+
+def xyz_to_rgb_matrix(white: str = "D65", observer: str = "CIE 1931 2 deg") -> Floats:
+    """`[3, 3]` matrix M with rgb = M @ xyz, both on the same scale; `white` maps to R = G = B.
+
+    Source: IEC 61966-2-1 for the primaries, the Bradford transform for whites other than D65; both
+    through colour-science.
+    """
+    import colour
+
+    rows = colour.XYZ_to_RGB(
+        np.eye(3),
+        "sRGB",
+        illuminant=_white_xy(white, observer),
+        chromatic_adaptation_transform="Bradford",
+        apply_cctf_encoding=False,
+    )
+    return np.asarray(rows, np.float64).T
+
+
+def _transformed(
+    measurement: BrdfMeasurement, matrix: NDArray[Any], channels: tuple[str, ...]
+) -> BrdfMeasurement:
+    std = measurement.std
+    return replace(
+        measurement,
+        values=measurement.values @ matrix.T,
+        channels=channels,
+        # independent channels: the variances add with the squared coefficients
+        std=None if std is None else np.sqrt(std**2 @ (matrix.T**2)),
+    )
+
+
+def _bands_to_xyz_matrix(measurement: BrdfMeasurement) -> Floats:
+    """`[3, C]`: XYZ on the 0…100 scale of a reflectance factor on the 0…100 scale.
+
+    Bands are joined linearly and held constant beyond the first and last, then integrated with
+    the colour-matching functions at 1 nm.
+    """
+    import colour
+
+    bands = measurement.wavelengths_nm
+    low, high = _VISIBLE_NM
+    if len(bands) < 2 or bands[0] > low + 20 or bands[-1] < high - 20:
+        raise InputError(
+            f"measurement: bands {bands[0]:g}…{bands[-1]:g} nm do not make a colour; "
+            f"they must span {low:g}…{high:g} nm"
+        )
+    if np.diff(bands).max() > _MAX_BAND_STEP_NM:
+        raise InputError(
+            f"measurement: bands up to {np.diff(bands).max():g} nm apart do not make a colour; "
+            f"at most {_MAX_BAND_STEP_NM:g} nm"
+        )
+    white, observer = measurement.metadata.white, _observer(measurement)
+    _white_xy(white, observer)
+    if white not in colour.SDS_ILLUMINANTS:
+        raise InputError(f"measurement: no spectrum is known for the white {white}; D65 has one")
+    shape = colour.SpectralShape(360, 780, 1)
+    wavelengths = shape.range()
+    joined = np.stack([np.interp(wavelengths, bands, row) for row in np.eye(len(bands))])
+    cmfs = colour.MSDS_CMFS[_OBSERVERS[observer]].copy().align(shape)
+    light = colour.SDS_ILLUMINANTS[white].copy().align(shape)
+    xyz = colour.msds_to_XYZ(joined, cmfs, light, method="Integration", shape=shape)
+    return np.asarray(xyz, np.float64).T / WHITE_LEVEL
+
+
+def _observer(measurement: BrdfMeasurement) -> str:
+    name = measurement.metadata.observer
+    if name not in _OBSERVERS:
+        raise InputError(
+            f"measurement: observer {name!r} is not known; {', '.join(_OBSERVERS)} are"
+        )
+    return name
+
+
+def _white_xy(white: str, observer: str) -> Floats:
+    import colour
+
+    known = colour.CCS_ILLUMINANTS[_OBSERVERS[observer]]
+    if white not in known:
+        raise InputError(
+            f"measurement: white {white!r} is not known; D65, D50, A, E and others are"
+        )
+    return np.asarray(known[white], np.float64)

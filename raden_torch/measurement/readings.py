@@ -1,0 +1,356 @@
+"""`BrdfMeasurement`: one row a reading; a regular grid is a view of it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from raden_torch.errors import InputError
+
+Floats = NDArray[np.float64]
+
+XYZ = ("X", "Y", "Z")
+RGB = ("R", "G", "B")
+WHITE_LEVEL = 100.0
+"""The perfect reflecting diffuser's value, in every geometry and channel."""
+
+_ANGLE_LIMITS = {"incidence": (0.0, 90.0), "receiving": (-90.0, 90.0), "tilt": (-90.0, 90.0)}
+_ANGLE_DIGITS = 6  # two readings within 5e-7 degree of each other have the same geometry
+_MAX_GRID_CELLS = 20_000_000
+_SCATTERED = 50  # a grid with more cells than this many per reading is not a grid
+
+
+@dataclass(frozen=True)
+class Metadata:
+    """What is known of a measurement beside its numbers.
+
+    Attributes:
+        sample: the specimen's name.
+        instrument: what measured it.
+        white: the illuminant of the XYZ values, by its CIE name ("D65").
+        observer: the colour-matching functions of the XYZ values.
+        simulated: True where the values were computed, not measured.
+        other: further header entries, kept as they were read.
+        notes: free text lines, kept as they were read.
+    """
+
+    sample: str = ""
+    instrument: str = ""
+    white: str = "D65"
+    observer: str = "CIE 1931 2 deg"
+    simulated: bool = False
+    other: tuple[tuple[str, str], ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ReadingGrid:
+    """A measurement seen as a regular grid; NaN where a cell has no valid reading.
+
+    Attributes:
+        incidence_deg, receiving_deg, tilt_deg: the axes in degrees, ascending: A, R and T values.
+        values: `[A, R, T, C]` reflectance factors, the perfect reflecting diffuser = 100.
+        channels: the C channel names.
+    """
+
+    incidence_deg: Floats
+    receiving_deg: Floats
+    tilt_deg: Floats
+    values: Floats
+    channels: tuple[str, ...]
+
+    @property
+    def axes_deg(self) -> tuple[Floats, Floats, Floats]:
+        return self.incidence_deg, self.receiving_deg, self.tilt_deg
+
+    @property
+    def measured(self) -> NDArray[np.bool_]:
+        """`[A, R, T]`: True where the cell holds a valid reading."""
+        return np.asarray(~np.isnan(self.values).any(axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class BrdfMeasurement:
+    """Readings of a reflecting sample: M geometries, C channels.
+
+    Angles are in degrees: incidence 0…90, receiving −90…90 (positive away from the light, so the
+    mirror lies at receiving = incidence), tilt −90…90; `azimuth_deg` turns the sample in its own
+    plane. Values are reflectance factors: the perfect reflecting diffuser is 100 in every geometry.
+
+    Attributes:
+        incidence_deg, receiving_deg, tilt_deg: `[M]`.
+        values: `[M, C]`; negative noise is kept; NaN only where `valid` is False.
+        channels: ("X", "Y", "Z"), ("R", "G", "B") (linear, sRGB primaries) or one name a spectral
+            band, as "550nm".
+        azimuth_deg: `[M]` or None.
+        std: `[M, C]` standard deviations or None.
+        count: `[M]` how many raw readings went into a row, or None.
+        valid: `[M]`; a row whose value is NaN is never valid.
+
+    Raises:
+        InputError: shapes that do not fit, angles out of range or not finite, infinite values, or
+            two valid readings of one geometry that disagree.
+    """
+
+    incidence_deg: Floats
+    receiving_deg: Floats
+    tilt_deg: Floats
+    values: Floats
+    channels: tuple[str, ...] = XYZ
+    azimuth_deg: Floats | None = None
+    std: Floats | None = None
+    count: NDArray[np.int64] | None = None
+    valid: NDArray[np.bool_] = None  # type: ignore[assignment]  # every reading, where not given
+    metadata: Metadata = field(default_factory=Metadata)
+
+    def __post_init__(self) -> None:
+        set_ = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
+        for name in ("incidence_deg", "receiving_deg", "tilt_deg"):
+            set_(name, _column(getattr(self, name), name))
+        set_("channels", tuple(self.channels))
+        set_("values", np.asarray(self.values, np.float64))
+        n = len(self.incidence_deg)
+        if n == 0:
+            raise InputError("measurement: it has no readings; at least one is needed")
+        _check_shape("values", self.values, (n, len(self.channels)))
+        _check_shape("receiving_deg", self.receiving_deg, (n,))
+        _check_shape("tilt_deg", self.tilt_deg, (n,))
+        _check_channels(self.channels)
+        if self.azimuth_deg is not None:
+            set_("azimuth_deg", _column(self.azimuth_deg, "azimuth_deg"))
+            _check_shape("azimuth_deg", self.azimuth_deg, (n,))
+        if self.std is not None:
+            set_("std", np.asarray(self.std, np.float64))
+            _check_shape("std", self.std, self.values.shape)
+        if self.count is not None:
+            set_("count", np.asarray(self.count, np.int64))
+            _check_shape("count", self.count, (n,))
+        valid = np.ones(n, bool) if self.valid is None else np.asarray(self.valid, bool)
+        _check_shape("valid", valid, (n,))
+        set_("valid", valid & ~np.isnan(self.values).any(axis=1))
+        self._check_angles()
+        self._check_values()
+        self._check_duplicates()
+
+    def __len__(self) -> int:
+        return len(self.incidence_deg)
+
+    # -- derived -------------------------------------------------------------------------------
+
+    @property
+    def is_spectral(self) -> bool:
+        return _wavelength(self.channels[0]) is not None
+
+    @property
+    def wavelengths_nm(self) -> Floats:
+        """`[C]` band centres in nm. Raises InputError where the channels are not spectral."""
+        if not self.is_spectral:
+            raise InputError(f"measurement: channels {self.channels} are not spectral bands")
+        return np.array([_wavelength(c) for c in self.channels], np.float64)
+
+    @property
+    def sha256(self) -> str:
+        """A hash of the readings themselves (angles, values, validity), in their order."""
+        digest = hashlib.sha256(",".join(self.channels).encode())
+        for column in (self.incidence_deg, self.receiving_deg, self.tilt_deg, self.azimuth_deg):
+            digest.update(b"-" if column is None else np.ascontiguousarray(column).tobytes())
+        digest.update(np.ascontiguousarray(self.values).tobytes() + self.valid.tobytes())
+        return digest.hexdigest()
+
+    def as_xyz(self) -> BrdfMeasurement:
+        """The same readings as CIE XYZ reflectance factors under `metadata.white`."""
+        from raden_torch.measurement import colour_conversion
+
+        return colour_conversion.as_xyz(self)
+
+    def as_rgb(self) -> BrdfMeasurement:
+        """The same readings as linear RGB, sRGB primaries, unclipped; see `colour_conversion`."""
+        from raden_torch.measurement import colour_conversion
+
+        return colour_conversion.as_rgb(self)
+
+    def select(self, rows: ArrayLike) -> BrdfMeasurement:
+        """The readings of a boolean mask or an index array over the M rows."""
+        rows = np.asarray(rows)
+        pick = lambda column: None if column is None else column[rows]  # noqa: E731
+        return replace(
+            self,
+            incidence_deg=self.incidence_deg[rows],
+            receiving_deg=self.receiving_deg[rows],
+            tilt_deg=self.tilt_deg[rows],
+            values=self.values[rows],
+            azimuth_deg=pick(self.azimuth_deg),
+            std=pick(self.std),
+            count=pick(self.count),
+            valid=self.valid[rows],
+        )
+
+    def grid(self) -> ReadingGrid:
+        """The regular grid of these readings; its axes are the distinct angles that occur.
+
+        Readings of one geometry are averaged, weighted by their count.
+
+        Raises:
+            InputError: the readings are scattered (their grid would be almost empty), or they were
+                taken at several azimuths.
+        """
+        if self.azimuth_deg is not None and np.ptp(self.azimuth_deg) > 1e-6:
+            raise InputError(
+                f"measurement: {len(np.unique(self.azimuth_deg))} sample azimuths do not make one "
+                "grid; select the readings of one azimuth"
+            )
+        axes, index = zip(
+            *(
+                np.unique(np.round(angle, _ANGLE_DIGITS), return_inverse=True)
+                for angle in (self.incidence_deg, self.receiving_deg, self.tilt_deg)
+            ),
+            strict=True,
+        )
+        shape = tuple(len(axis) for axis in axes)
+        cells = int(np.prod(shape, dtype=np.float64))
+        if cells > _MAX_GRID_CELLS or cells > _SCATTERED * len(self) + 1000:
+            raise InputError(
+                f"measurement: {len(self)} readings lie scattered (a grid through all of them has "
+                f"{' x '.join(map(str, shape))} cells); a grid was wanted"
+            )
+        flat = np.ravel_multi_index(index, shape)[self.valid]
+        weight = np.ones(len(self)) if self.count is None else np.maximum(self.count, 1.0)
+        weight = weight[self.valid]
+        total = np.zeros((cells, len(self.channels)))
+        np.add.at(total, flat, self.values[self.valid] * weight[:, None])
+        seen = np.bincount(flat, weight, cells)
+        with np.errstate(invalid="ignore"):
+            values = total / seen[:, None]
+        once = np.bincount(flat, minlength=cells)[flat] == 1  # a lone reading is kept to the bit
+        values[flat[once]] = self.values[self.valid][once]
+        incidence, receiving, tilt = axes
+        return ReadingGrid(incidence, receiving, tilt, values.reshape(*shape, -1), self.channels)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the project's CSV; `load_measurement` reads back an equal measurement."""
+        from raden_torch.measurement import native_csv
+
+        native_csv.write(self, path)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, BrdfMeasurement):
+            return NotImplemented
+        return (self.channels, self.metadata) == (other.channels, other.metadata) and all(
+            _equal(getattr(self, name), getattr(other, name))
+            for name in (
+                "incidence_deg",
+                "receiving_deg",
+                "tilt_deg",
+                "values",
+                "azimuth_deg",
+                "std",
+                "count",
+                "valid",
+            )
+        )
+
+    def __repr__(self) -> str:
+        kind = "simulated " if self.metadata.simulated else ""
+        return (
+            f"BrdfMeasurement({kind}{self.metadata.sample!r}, {len(self)} readings, "
+            f"{int(self.valid.sum())} valid, channels {', '.join(self.channels[:4])}"
+            f"{', …' if len(self.channels) > 4 else ''})"
+        )
+
+    # -- checks --------------------------------------------------------------------------------
+
+    def _check_angles(self) -> None:
+        for name, (low, high) in _ANGLE_LIMITS.items():
+            angle = getattr(self, f"{name}_deg")
+            wrong = ~((angle >= low) & (angle <= high))
+            if wrong.any():
+                row = int(np.argmax(wrong))
+                raise InputError(
+                    f"measurement: {name}_deg = {angle[row]:g} in reading {row + 1}; "
+                    f"it must lie in {low:g}…{high:g} degrees"
+                )
+
+    def _check_values(self) -> None:
+        infinite = np.isinf(self.values)
+        if infinite.any():
+            row, channel = np.unravel_index(int(np.argmax(infinite)), self.values.shape)
+            raise InputError(
+                f"measurement: {self.channels[channel]} is infinite in reading {row + 1}; "
+                "mark a saturated reading as not valid, or leave its value empty"
+            )
+
+    def _check_duplicates(self) -> None:
+        """Refuse readings of one geometry that differ by over 5 % and 6 standard deviations."""
+        columns = [self.incidence_deg, self.receiving_deg, self.tilt_deg]
+        if self.azimuth_deg is not None:
+            columns.append(self.azimuth_deg)
+        rows = np.flatnonzero(self.valid)
+        key = np.round(np.stack(columns, axis=1)[rows], _ANGLE_DIGITS)
+        order = np.lexsort(key.T[::-1])
+        same = (key[order][1:] == key[order][:-1]).all(axis=1)
+        if not same.any():
+            return
+        first, second = rows[order[:-1][same]], rows[order[1:][same]]
+        allowed = 0.05 * np.maximum(abs(self.values[first]), abs(self.values[second])).max(1) + 1e-9
+        if self.std is not None:
+            spread = np.hypot(self.std[first], self.std[second]).max(1)
+            allowed = np.maximum(allowed, 6 * np.nan_to_num(spread))
+        wrong = abs(self.values[first] - self.values[second]).max(1) > allowed
+        if wrong.any():
+            k = int(np.argmax(wrong))
+            i, j = sorted((int(first[k]), int(second[k])))
+            geometry = ", ".join(f"{column[i]:g}" for column in columns)
+            raise InputError(
+                f"measurement: readings {i + 1} and {j + 1} have the same geometry "
+                f"({geometry} deg) but {self.channels[0]} = {self.values[i, 0]:g} and "
+                f"{self.values[j, 0]:g}; keep one, or give their standard deviation"
+            )
+
+
+def _column(column: Any, name: str) -> Floats:
+    array = np.asarray(column, np.float64)
+    if array.ndim != 1:
+        raise InputError(f"measurement: {name} has shape {list(array.shape)}; [M] was wanted")
+    if not np.isfinite(array).all():
+        row = int(np.argmin(np.isfinite(array)))
+        raise InputError(f"measurement: {name} is not a finite number in reading {row + 1}")
+    return array
+
+
+def _check_shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
+    if array.shape != shape:
+        raise InputError(
+            f"measurement: {name} has shape {list(array.shape)}; {list(shape)} was wanted"
+        )
+
+
+def _check_channels(channels: tuple[str, ...]) -> None:
+    spectral = [_wavelength(c) for c in channels]
+    if channels not in (XYZ, RGB) and (not channels or None in spectral):
+        raise InputError(
+            f"measurement: channels {', '.join(channels) or '(none)'}; X, Y, Z or R, G, B or "
+            "spectral bands (as 550nm) were wanted"
+        )
+    if None not in spectral and (np.diff(np.array(spectral, float)) <= 0).any():
+        raise InputError("measurement: the spectral bands must be named in ascending wavelength")
+
+
+def _wavelength(channel: str) -> float | None:
+    if not channel.endswith("nm"):
+        return None
+    try:
+        value = float(channel[:-2])
+    except ValueError:
+        return None
+    return value if np.isfinite(value) and value > 0 else None
+
+
+def _equal(a: Any, b: Any) -> bool:
+    if a is None or b is None:
+        return a is b
+    return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
