@@ -148,7 +148,9 @@ def normalised(v: Tensor) -> Tensor:
     largest = v.detach().abs().amax(XYZ_DIM, keepdim=True)
     valid = largest > 0
     largest = torch.where(valid, largest, torch.ones_like(largest))
-    scaled = v / largest
+    # a denormal's 1/length would overflow in the gradient: there it stops growing
+    slope = 1 / largest.clamp(min=torch.finfo(v.dtype).tiny ** 0.5)
+    scaled = v * slope + (v / largest - v * slope).detach()
     length = torch.sqrt(torch.where(valid, dot(scaled, scaled), torch.ones_like(largest)))
     unit = scaled / length
     is_unit = (length * largest - 1).abs() < 8 * torch.finfo(v.dtype).eps

@@ -24,6 +24,7 @@ ENVELOPE = 0.05
 RIDGE_DEG = 20.0
 EXPONENT_BOUNDS = (0.5, 50.0)
 """Below 0.5 the formula jumps at a = 0 and ruins the interpolation of the residual beside it."""
+_NEGLIGIBLE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,9 @@ def angle_from_mirror(a: Floats, r: Floats, t: Floats) -> Floats:
 def _fit_channel(angular: Floats, x: Floats, y: Floats) -> tuple[float, float]:
     def best_scale(log_n: float) -> tuple[float, float]:
         basis = angular * x ** np.exp(log_n)
-        scale = max(_weighted_quantile(y / basis, basis, ENVELOPE), 0.0)
+        counts = basis > _NEGLIGIBLE * basis.max()  # the rest weighs nothing, and would overflow
+        ratio = y[counts] / basis[counts]
+        scale = max(_weighted_quantile(ratio, basis[counts], ENVELOPE), 0.0)
         above = y - scale * basis
         return scale, float(np.mean(np.maximum(ENVELOPE * above, (ENVELOPE - 1) * above)))
 

@@ -1,7 +1,8 @@
 """Fill the cells of a grid that were not measured, from the ones that were.
 
-In this order: an equivalent geometry, the smoothest continuation of the measured neighbours, and,
-where no measured cell is near, nothing (the caller falls back to the diffuse part).
+In this order: the equivalent geometry at perpendicular incidence, (0, r, t) ≡ (0, −r, −t); the
+smoothest continuation of the measured neighbours; and, where no measured cell is near, nothing (the
+caller falls back to the diffuse part).
 
 The smoothest continuation minimises squared second differences along three directions: along the
 mirror ridge (incidence and receiving together, so at constant r − a), along receiving, and along
@@ -59,7 +60,6 @@ def fill(axes_deg: tuple[Floats, Floats, Floats], values: Floats) -> Filled:
     """
     measured = ~np.isnan(values).any(axis=-1)
     values, averaged, asymmetry = _average_perpendicular(axes_deg, values)
-    values = _fill_retro(axes_deg, values)
     known = np.asarray(~np.isnan(values).any(axis=-1))
     near = ndimage.binary_dilation(known, iterations=REACH) & ~known
     values = _continue_smoothly(axes_deg, values, near)
@@ -101,30 +101,6 @@ def _mirrored(axis: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     partner = distance.argmin(axis=1)
     paired = np.flatnonzero(distance.min(axis=1) < 1e-6)
     return paired, partner[paired]
-
-
-def _fill_retro(axes_deg: tuple[Floats, Floats, Floats], values: Floats) -> Floats:
-    """(a, −a, t) depends on cos a cos t alone: a missing one is read between measured ones."""
-    a, r, t = np.meshgrid(*axes_deg, indexing="ij")
-    retro = abs(a + r) < 1e-6
-    known = ~np.isnan(values).any(axis=-1)
-    missing, measured = retro & ~known, retro & known
-    if not missing.any() or not measured.any():
-        return values
-    theta = np.rad2deg(np.arccos(np.cos(np.deg2rad(a)) * np.cos(np.deg2rad(t))))
-    at, first = np.unique(np.round(theta[measured], 6), return_index=True)
-    if len(at) < 2:
-        return values
-    wanted = theta[missing]
-    above = np.searchsorted(at, wanted - 1e-6).clip(1, len(at) - 1)
-    step = axes_deg[1][1] - axes_deg[1][0]
-    inside = (wanted >= at[0] - 1e-6) & (wanted <= at[-1] + 1e-6)
-    inside &= at[above] - at[above - 1] <= step + 1e-6
-    values = values.copy()
-    i, j, k = np.argwhere(missing)[inside].T
-    for c in range(values.shape[-1]):
-        values[i, j, k, c] = np.interp(wanted[inside], at, values[measured][first, c])
-    return values
 
 
 def _continue_smoothly(

@@ -261,11 +261,11 @@ def _check_degrees(path: Path, header: _Header, columns: dict[str, Floats]) -> N
     if header.entries.get("angles") == "degrees" or not np.isfinite(angles).all():
         return
     largest = abs(angles).max()
-    fractional = (angles != np.round(angles, 2)).any()
+    fractional = (angles != np.round(angles)).any()
     if 0 < largest <= _QUARTER_TURN_RAD and fractional:
         raise InputError(
-            f"{path}: the largest angle is {largest:g}: these look like radians; degrees are wanted "
-            "(if they are degrees, add the header line '# angles: degrees')"
+            f"{path}: the largest angle is {largest:g}: these look like radians; degrees are "
+            "wanted (if they are degrees, add the header line '# angles: degrees')"
         )
 
 
