@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,11 +26,20 @@ app = typer.Typer(
     help="Measure how mother-of-pearl reflects, keep it as a small model, light images with it.",
 )
 
+
+class Green(str, Enum):
+    """Which way green points in a normal map."""
+
+    opengl = "opengl"
+    directx = "directx"
+
+
 ModelFile = Annotated[Path, typer.Argument(help="a model that `raden fit` wrote")]
 
 
 def main() -> None:
     """Run the command; anything wrong with the input is one line on stderr and exit code 2."""
+    warnings.showwarning = _print_warning
     try:
         app()
     except InputError as error:
@@ -107,12 +118,14 @@ def render(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="the .png or .jpg to write")
     ] = Path("render.png"),
-    shape: Annotated[str, typer.Option(help="what to show: sphere")] = "sphere",
+    shape: Annotated[
+        str, typer.Option(help="what to show: sphere, or plate (black urushi with a motif)")
+    ] = "sphere",
     light: Annotated[
         list[str] | None,
         typer.Option(help="x,y,z towards a lamp at infinity, or point:x,y,z; may be repeated"),
     ] = None,
-    camera: Annotated[str, typer.Option(help="the camera's position x,y,z; y is up")] = "0,0,6",
+    camera: Annotated[str | None, typer.Option(help="the camera's position x,y,z; y is up")] = None,
     size: Annotated[int, typer.Option(help="width and height in pixels")] = 512,
     samples: Annotated[int, typer.Option(help="rays per pixel along each side")] = 2,
     exposure: Annotated[str, typer.Option(help="stops, or auto")] = "auto",
@@ -122,8 +135,9 @@ def render(
     from raden_torch.pictures import render_shape, save_picture
 
     check_picture_path(output)
-    lights = [_light(text) for text in light or ["1,1,2"]]
-    eye, stops = _triple("--camera", camera), _stops(exposure)
+    lights = [_light(text) for text in light or ()]
+    eye = None if camera is None else _triple("--camera", camera)
+    stops = _stops(exposure)
     with _working("rendering"):
         from raden_torch.brdf.model_file import load_model
 
@@ -131,6 +145,54 @@ def render(
         image = render_shape(loaded, shape, lights, camera=eye, size=size, samples=samples)
         used = save_picture(image, output, loaded, exposure_ev=stops)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
+
+
+@app.command(
+    epilog="Example: raden relight box.png --normals n.png --mask m.png --model shell.safetensors "
+    "--light 1,1,2 -o relit.png"
+)
+def relight(
+    photos: Annotated[list[Path], typer.Argument(help="photographs of one size, or one")],
+    normals: Annotated[Path, typer.Option(help="normal map: PNG (8 or 16 bits), TIFF or EXR")],
+    model: Annotated[Path, typer.Option(help="a model that `raden fit` wrote")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="the image to write; a folder for several")
+    ],
+    mask: Annotated[
+        Path | None, typer.Option(help="what to relight, with a soft edge; else all normals")
+    ] = None,
+    light: Annotated[
+        list[str] | None, typer.Option(help="x,y,z towards a lamp at infinity; may be repeated")
+    ] = None,
+    strip: Annotated[
+        int | None, typer.Option(help="instead: this many lamps in a ring, side by side")
+    ] = None,
+    green: Annotated[
+        Green, typer.Option(help="which way green points in the normal map")
+    ] = Green.opengl,
+    exposure: Annotated[
+        str, typer.Option(help="stops, or auto: the masked part keeps its mean luminance")
+    ] = "auto",
+) -> None:
+    """Relight the masked part of photographs; the rest of them is kept."""
+    from raden_torch.pictures import relight_files
+
+    if strip is not None and light:
+        raise InputError("--strip brings its own lamps; give --light or --strip")
+    with _working("relighting"):
+        written = relight_files(
+            photos,
+            normals,
+            mask,
+            model,
+            output,
+            lights=[_light(text) for text in light or ["1,1,2"]],
+            strip=strip,
+            green=green.value,
+            exposure_ev=_stops(exposure),
+        )
+    for path in written:
+        print(f"wrote {path}")
 
 
 @app.command(epilog="Example: raden demo --out demo")
@@ -188,6 +250,10 @@ def _working(what: str) -> Iterator[None]:
 
     with Console(stderr=True).status(what):
         yield
+
+
+def _print_warning(message: Warning | str, *_: object, **__: object) -> None:
+    print(f"raden: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def _fail(message: str) -> None:

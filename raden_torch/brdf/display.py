@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -56,26 +57,33 @@ def write_picture(
     Raises:
         InputError: a suffix that is no picture's, or a folder that does not exist.
     """
-    import cv2
-
     check_picture_path(path)
     rgb = (picture.detach().clamp(0, 1) * 255).round().to(torch.uint8).movedim(0, -1).cpu().numpy()
     bgr = np.ascontiguousarray(rgb[..., ::-1])
     if caption:
-        _draw_caption(bgr, caption)
-    ok, data = cv2.imencode(Path(path).suffix, bgr)
+        draw_caption(bgr, caption)
+    write_encoded(bgr, path)
+
+
+def write_encoded(bgr: NDArray[Any], path: str | os.PathLike[str]) -> None:
+    """Write pixels `[H, W, 3]` in OpenCV's order, encoded by the path's suffix."""
+    import cv2
+
+    ok, data = cv2.imencode(Path(path).suffix.lower(), bgr)
     if not ok:
         raise InputError(f"{path}: OpenCV could not encode the picture")
     with written_beside(path) as temporary:
         temporary.write_bytes(data.tobytes())
 
 
-def _draw_caption(bgr: NDArray[np.uint8], caption: str) -> None:
+def draw_caption(bgr: NDArray[Any], caption: str) -> None:
+    """Draw a small line into the lower left corner of 8- or 16-bit pixels, in place."""
     import cv2
 
+    grey = 190 * (np.iinfo(bgr.dtype).max // 255)
     height, width = bgr.shape[:2]
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.4
     (text_width, _), _ = cv2.getTextSize(caption, font, scale, 1)
     scale *= min(1.0, (width - 8) / max(text_width, 1))
-    for colour, thickness in (((0, 0, 0), 3), ((190, 190, 190), 1)):
+    for colour, thickness in (((0, 0, 0), 3), ((grey, grey, grey), 1)):
         cv2.putText(bgr, caption, (4, height - 6), font, scale, colour, thickness, cv2.LINE_AA)

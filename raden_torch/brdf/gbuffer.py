@@ -29,7 +29,7 @@ class GBuffer:
     """
 
     normal: Tensor
-    view: Tensor | None = None
+    view: Tensor | Triple | None = None
     position: Tensor | None = None
     camera: Triple | None = None
     mask: Tensor | None = None
@@ -46,7 +46,7 @@ class GBuffer:
         if self.camera is not None:
             _triple("camera", self.camera, self.normal)
         maps = {"normal": self.normal, "view": self.view, "position": self.position}
-        geometry.check_vector_maps(**{k: v for k, v in maps.items() if v is not None})
+        geometry.check_vector_maps(**{k: cast(Tensor, v) for k, v in maps.items() if v is not None})
         if self.mask is not None:
             self._check_mask(self.mask)
 
@@ -88,7 +88,7 @@ class GBuffer:
 
     def view_map(self, like: Tensor) -> Tensor:
         """Directions to the viewer, not unit, in the dtype of `like`."""
-        if self.view is not None:
+        if isinstance(self.view, Tensor):
             return self.view.to(like.dtype)
         # __post_init__ saw to it that both are there
         return as_map(cast(Triple, self.camera), like) - cast(Tensor, self.position).to(like.dtype)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -10,15 +11,24 @@ from torch import Tensor
 from raden_torch import geometry
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import DirectionalLight, Light, PointLight, SpotLight
-from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
 
 
-def shade(model: RadenBrdf, gbuffer: GBuffer, lights: Sequence[Light] | Light) -> Tensor:
+class Reflection(Protocol):
+    """What `shade` needs of a material; `RadenBrdf` is one."""
+
+    def working_dtype(self, *maps: Tensor) -> torch.dtype:
+        """The dtype to compute in for maps of these dtypes."""
+
+    def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
+        """f_r in 1/sr of unit (or zero) vectors, 0 below the horizon."""
+
+
+def shade(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light] | Light) -> Tensor:
     """Outgoing radiance, L_r = Σ f_r E cos θi (Take 2012, eq. (1), summed over the lights).
 
     Args:
-        model: the reflection model.
+        model: the reflection model, a `RadenBrdf` or anything that reflects like one.
         gbuffer: the scene; half-precision maps are computed in float32.
         lights: directional, point and spot lights. No light gives a black image.
 
@@ -33,7 +43,7 @@ def shade(model: RadenBrdf, gbuffer: GBuffer, lights: Sequence[Light] | Light) -
     for light in lights:
         if not isinstance(light, (DirectionalLight, PointLight, SpotLight)):
             raise InputError(f"lights: {type(light).__name__} is not a light of raden_torch")
-    maps = [m for m in (gbuffer.normal, gbuffer.view, gbuffer.position) if m is not None]
+    maps = [m for m in (gbuffer.normal, gbuffer.view, gbuffer.position) if isinstance(m, Tensor)]
     dtype = model.working_dtype(*maps)
     normal = geometry.normalised(gbuffer.normal.to(dtype))
     view = geometry.normalised(gbuffer.view_map(normal))

@@ -1,4 +1,4 @@
-"""G-buffers made by code: a sphere seen by a pinhole camera (Take 2012, fig. 10)."""
+"""A G-buffer made by code: a sphere seen by a pinhole camera (Take 2012, fig. 10)."""
 
 from __future__ import annotations
 
@@ -28,16 +28,13 @@ def sphere(
     Returns:
         Maps `[1, …, size·samples, size·samples]`; the mask is 1 on the sphere.
     """
-    if size < 1 or samples < 1 or size * samples > 16384:
-        raise InputError(
-            f"sphere: size {size} x {samples} samples; 1…16384 rays a side were wanted"
-        )
+    check_rays("sphere", size, samples)
     eye = torch.tensor(camera, dtype=torch.float64)
     distance = float(eye.norm())
     if not distance > 1.0:
         raise InputError(f"sphere: camera {camera} lies inside the unit sphere; move it outside")
     half_width = margin / (distance**2 - 1) ** 0.5  # tangent of the half field of view
-    rays = _rays(eye, size * samples, half_width)
+    rays = camera_rays(eye, size * samples, half_width)
     along = (rays * eye.view(3, 1, 1)).sum(0)
     square = (rays * rays).sum(0)
     root = along**2 - square * (distance**2 - 1)
@@ -48,12 +45,19 @@ def sphere(
     return GBuffer(maps, position=maps, camera=camera, mask=hit.float()[None])
 
 
+def check_rays(shape: str, size: int, samples: int) -> None:
+    if size < 1 or samples < 1 or size * samples > 16384:
+        raise InputError(
+            f"{shape}: size {size} x {samples} samples; 1…16384 rays a side were wanted"
+        )
+
+
 def average_samples(image: Tensor, samples: int) -> Tensor:
     """Average the rays of each pixel, in linear light: `[B, C, H·s, W·s]` → `[B, C, H, W]`."""
     return torch.nn.functional.avg_pool2d(image, samples)
 
 
-def _rays(eye: Tensor, n: int, half_width: float) -> Tensor:
+def camera_rays(eye: Tensor, n: int, half_width: float) -> Tensor:
     """`[3, n, n]` rays of a pinhole camera that looks at the origin, the first row on top."""
     forward = -eye / eye.norm()
     up = torch.tensor([0.0, 1.0, 0.0], dtype=eye.dtype)

@@ -1,0 +1,182 @@
+"""Photographs, normal maps and masks as files, through OpenCV."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from raden_torch.brdf.display import draw_caption, write_encoded
+from raden_torch.errors import InputError
+
+Green = Literal["opengl", "directx"]
+
+MAX_PIXELS = 500_000_000
+_FLOAT_SUFFIXES = (".hdr", ".tif", ".tiff")
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """A photograph in linear light, and how it was stored.
+
+    Attributes:
+        linear: `[1, 3, H, W]`, RGB; sRGB files are decoded, float files are taken as linear.
+        levels: the largest stored value: 255, 65535, or None for floating-point files.
+    """
+
+    linear: Tensor
+    levels: int | None
+
+
+def read_photograph(path: str | os.PathLike[str]) -> Photograph:
+    """Read an 8- or 16-bit PNG, JPEG or TIFF (sRGB), or a float TIFF or HDR (linear).
+
+    Raises:
+        InputError: missing, not an image, or too large.
+    """
+    from kornia.color import rgb_to_linear_rgb
+
+    pixels = _decoded(path, colour=True)
+    levels = _levels(pixels)
+    rgb = _tensor(pixels[..., 2::-1] if pixels.ndim == 3 else np.stack([pixels] * 3, -1))
+    if levels is None:
+        return Photograph(rgb, None)
+    return Photograph(rgb_to_linear_rgb(rgb / levels), levels)
+
+
+def write_photograph(
+    photo: Photograph, path: str | os.PathLike[str], caption: str | None = None
+) -> None:
+    """Write a photograph as it was stored: its bit depth, sRGB for whole numbers.
+
+    Args:
+        caption: a small line drawn into the lower left corner of a whole-number file.
+
+    Raises:
+        InputError: a suffix that cannot hold it.
+    """
+    from kornia.color import linear_rgb_to_rgb
+
+    suffix = Path(path).suffix.lower()
+    rgb = photo.linear[0].detach().cpu()
+    pixels: NDArray[Any]
+    if photo.levels is None:
+        _check_suffix(path, _FLOAT_SUFFIXES, "a floating-point photograph")
+        pixels = rgb.movedim(0, -1).numpy()
+    else:
+        _check_suffix(path, (".png", ".jpg", ".jpeg", ".tif", ".tiff"), "a photograph")
+        levels = 255 if suffix in (".jpg", ".jpeg") else photo.levels
+        coded = linear_rgb_to_rgb(rgb[None].clamp(0, 1))[0].movedim(0, -1).numpy()
+        pixels = np.rint(coded * levels).astype(np.uint8 if levels == 255 else np.uint16)
+    bgr = np.ascontiguousarray(pixels[..., ::-1])
+    if caption and photo.levels is not None:
+        draw_caption(bgr, caption)
+    write_encoded(bgr, path)
+
+
+def read_normal_map(path: str | os.PathLike[str], green: Green = "opengl") -> Tensor:
+    """Read a normal map, x right, y up, z to the viewer.
+
+    Whole-number files hold (n + 1)/2; float files hold n itself, or (n + 1)/2 where nothing in them
+    is negative. Black pixels, and pixels with alpha 0, have no normal.
+
+    Args:
+        green: "opengl" where green points up, "directx" where it points down.
+
+    Returns:
+        `[1, 3, H, W]` unit normals, zero where there is none.
+
+    Raises:
+        InputError: not an image of three channels. A JPEG warns: its blocks tilt the normals.
+    """
+    if green not in ("opengl", "directx"):
+        raise InputError(f"green {green!r}: opengl or directx was wanted")
+    if Path(path).suffix.lower() == ".exr":
+        from raden_torch.brdf.gbuffer_file import read_gbuffer
+
+        normal = read_gbuffer(path).normal
+    else:
+        pixels = _decoded(path, colour=False)
+        if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
+            raise InputError(f"{path}: a normal map of three channels was wanted")
+        if Path(path).suffix.lower() in (".jpg", ".jpeg"):
+            warnings.warn(
+                f"{path}: an 8-bit JPEG holds normals badly (its blocks tilt them by degrees); "
+                "a 16-bit PNG or an EXR holds them well",
+                stacklevel=2,
+            )
+        normal = decoded_normals(_tensor(pixels[..., 2::-1]), _levels(pixels))
+        if pixels.shape[2] == 4:
+            normal = normal * (_tensor(pixels[..., 3:]) > 0)
+    if green == "directx":
+        normal = normal * normal.new_tensor([1.0, -1.0, 1.0]).view(3, 1, 1)
+    return torch.nn.functional.normalize(normal, dim=1)
+
+
+def decoded_normals(coded: Tensor, levels: int | None) -> Tensor:
+    """(n + 1)/2 → n, where it is coded so; zero where all three channels are 0."""
+    signed = levels is None and bool((coded < 0).any())
+    there = (coded != 0).any(dim=1, keepdim=True)
+    return (coded if signed else 2 * coded / (levels or 1) - 1) * there
+
+
+def read_mask(path: str | os.PathLike[str]) -> Tensor:
+    """Read a mask `[1, 1, H, W]`, 0…1: a grey picture, the alpha of one that has it, or the
+    brightest channel.
+
+    Raises:
+        InputError: the mask is empty: nothing would be relit.
+    """
+    pixels = _decoded(path, colour=False)
+    if pixels.ndim == 3:
+        pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.max(axis=2)
+    mask = (_tensor(pixels[..., None]) / (_levels(pixels) or 1)).clamp(0, 1)
+    if not (mask > 0).any():
+        raise InputError(f"{path}: the mask is empty (all black): nothing would be relit")
+    return mask
+
+
+def _decoded(path: str | os.PathLike[str], *, colour: bool) -> NDArray[Any]:
+    """`[H, W]` or `[H, W, C]` in OpenCV's order (BGR)."""
+    import cv2
+
+    try:
+        data = np.fromfile(path, np.uint8)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; an image was wanted") from None
+    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED
+    try:
+        pixels = cv2.imdecode(data, flags) if data.size else None
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise InputError(
+            f"{path}: not an image that OpenCV reads; PNG, JPEG, TIFF or HDR was wanted"
+        )
+    if pixels.shape[0] * pixels.shape[1] > MAX_PIXELS:
+        raise InputError(f"{path}: {pixels.shape[1]} x {pixels.shape[0]} pixels are too many")
+    return pixels
+
+
+def _levels(pixels: NDArray[Any]) -> int | None:
+    return None if pixels.dtype.kind == "f" else int(np.iinfo(pixels.dtype).max)
+
+
+def _tensor(pixels: NDArray[Any]) -> Tensor:
+    """`[H, W, C]` → `[1, C, H, W]` float32."""
+    return torch.from_numpy(np.ascontiguousarray(pixels, np.float32)).movedim(-1, 0)[None]
+
+
+def _check_suffix(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> None:
+    suffix = Path(path).suffix.lower()
+    if suffix not in suffixes:
+        raise InputError(
+            f"{path}: {what} goes into {', '.join(suffixes)}, not {suffix or '(none)'}"
+        )
