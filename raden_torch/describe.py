@@ -27,13 +27,20 @@ def describe_measurement(measurement: BrdfMeasurement) -> str:
         step = np.diff(values)
         by = f" by {step[0]:g}" if len(step) and np.allclose(step, step[0]) else ""
         lines.append(f"{name}: {values[0]:g}…{values[-1]:g} deg{by}, {len(values)} values")
+    if m.azimuth_deg is not None:
+        low, high = m.azimuth_deg.min(), m.azimuth_deg.max()
+        lines.append(f"sample azimuth: {low:g}…{high:g} deg, {m.azimuths} values")
     values = m.values[m.valid]
+    negative = int((values < 0).any(axis=1).sum())
+    if negative:
+        lines.append(f"{negative} valid readings have a negative value (noise, kept)")
     if len(values):
         low, high = values.min(axis=0), values.max(axis=0)
         lines += [
             f"{channel}: {lo:g}…{hi:g} (perfect reflecting diffuser = 100)"
             for channel, lo, hi in list(zip(m.channels, low, high, strict=True))[:8]
         ]
+    lines += [f"note: {note}" for note in meta.notes]
     return "\n".join(lines)
 
 

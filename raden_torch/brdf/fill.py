@@ -26,7 +26,10 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 RIDGE_WEIGHT, RECEIVING_WEIGHT, TILT_WEIGHT = 1.0, 0.1, 0.03
-REACH = 3  # grid steps from the nearest measured cell
+REACH = 3
+"""Grid steps from the nearest measured cell."""
+
+
 _MAX_UNKNOWN = 300_000
 _TIE = 1e-9  # keeps a cell that no difference touches from being singular
 
@@ -59,7 +62,7 @@ def fill(axes_deg: tuple[Floats, Floats, Floats], values: Floats) -> Filled:
         values: `[A, R, T, C]`, NaN where not measured.
     """
     measured = ~np.isnan(values).any(axis=-1)
-    values, averaged, asymmetry = _average_perpendicular(axes_deg, values)
+    values, averaged, asymmetry = average_perpendicular(axes_deg, values)
     known = np.asarray(~np.isnan(values).any(axis=-1))
     near = ndimage.binary_dilation(known, iterations=REACH) & ~known
     values = _continue_smoothly(axes_deg, values, near)
@@ -73,7 +76,7 @@ def fill(axes_deg: tuple[Floats, Floats, Floats], values: Floats) -> Filled:
     )
 
 
-def _average_perpendicular(
+def average_perpendicular(
     axes_deg: tuple[Floats, Floats, Floats], values: Floats
 ) -> tuple[Floats, Bools, float]:
     """(0, r, t) ≡ (0, −r, −t): both take the mean of what was measured of them."""
@@ -114,16 +117,9 @@ def _continue_smoothly(
             f"measurement: {int(unknown.sum())} missing cells lie beside measured ones; at most "
             f"{_MAX_UNKNOWN} can be filled; measure more of them or use a coarser grid"
         )
-    shape = values.shape[:3]
     missing = np.isnan(values).any(axis=-1) & ~unknown
-    triples, weights = _second_differences(axes_deg, shape)
-    whole = ~missing.ravel()[triples].any(axis=1)
-    triples, weights = triples[whole], weights[whole]
-    rows = np.repeat(np.arange(len(triples)), 3)
-    data = (weights[:, None] * np.array([1.0, -2.0, 1.0])).ravel()
-    cells = int(np.prod(shape))
-    matrix = sparse.csc_matrix((data, (rows, triples.ravel())), (len(triples), cells))
-    flat = values.reshape(cells, -1).copy()
+    matrix = roughness(axes_deg, missing)
+    flat = values.reshape(missing.size, -1).copy()
     to_find = np.flatnonzero(unknown)
     given = np.flatnonzero(~(unknown | missing))
     of_unknown = matrix[:, to_find]
@@ -133,6 +129,16 @@ def _continue_smoothly(
     for c in range(flat.shape[1]):
         flat[to_find, c] = solve(right_side[:, c])
     return flat.reshape(values.shape)
+
+
+def roughness(axes_deg: tuple[Floats, Floats, Floats], missing: Bools) -> sparse.csc_matrix:
+    """`[D, cells]`: the weighted second differences that touch no missing cell."""
+    triples, weights = _second_differences(axes_deg, missing.shape)
+    whole = ~missing.ravel()[triples].any(axis=1)
+    triples, weights = triples[whole], weights[whole]
+    rows = np.repeat(np.arange(len(triples)), 3)
+    data = (weights[:, None] * np.array([1.0, -2.0, 1.0])).ravel()
+    return sparse.csc_matrix((data, (rows, triples.ravel())), (len(triples), missing.size))
 
 
 def _second_differences(

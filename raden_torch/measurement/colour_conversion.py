@@ -72,6 +72,24 @@ def xyz_to_rgb_matrix(white: str = "D65", observer: str = "CIE 1931 2 deg") -> F
     return np.asarray(rows, np.float64).T
 
 
+def why_no_colour(measurement: BrdfMeasurement) -> str | None:
+    """What keeps spectral bands from making a colour; None where nothing does."""
+    if not measurement.is_spectral:
+        return None
+    bands, (low, high) = measurement.wavelengths_nm, _VISIBLE_NM
+    if len(bands) < 2 or bands[0] > low + 20 or bands[-1] < high - 20:
+        return (
+            f"bands {bands[0]:g}…{bands[-1]:g} nm do not make a colour; "
+            f"they must span {low:g}…{high:g} nm"
+        )
+    if np.diff(bands).max() > _MAX_BAND_STEP_NM:
+        return (
+            f"bands up to {np.diff(bands).max():g} nm apart do not make a colour; "
+            f"at most {_MAX_BAND_STEP_NM:g} nm"
+        )
+    return None
+
+
 def _transformed(
     measurement: BrdfMeasurement, matrix: NDArray[Any], channels: tuple[str, ...]
 ) -> BrdfMeasurement:
@@ -94,17 +112,9 @@ def _bands_to_xyz_matrix(measurement: BrdfMeasurement) -> Floats:
     import colour
 
     bands = measurement.wavelengths_nm
-    low, high = _VISIBLE_NM
-    if len(bands) < 2 or bands[0] > low + 20 or bands[-1] < high - 20:
-        raise InputError(
-            f"measurement: bands {bands[0]:g}…{bands[-1]:g} nm do not make a colour; "
-            f"they must span {low:g}…{high:g} nm"
-        )
-    if np.diff(bands).max() > _MAX_BAND_STEP_NM:
-        raise InputError(
-            f"measurement: bands up to {np.diff(bands).max():g} nm apart do not make a colour; "
-            f"at most {_MAX_BAND_STEP_NM:g} nm"
-        )
+    reason = why_no_colour(measurement)
+    if reason:
+        raise InputError(f"measurement: {reason}")
     white, observer = measurement.metadata.white, _observer(measurement)
     _white_xy(white, observer)
     if white not in colour.SDS_ILLUMINANTS:

@@ -80,7 +80,7 @@ class BrdfMeasurement:
 
     Angles are in degrees: incidence 0…90, receiving −90…90 (positive away from the light, so the
     mirror lies at receiving = incidence), tilt −90…90; `azimuth_deg` turns the sample in its own
-    plane. Values are reflectance factors: the perfect reflecting diffuser is 100 in every geometry.
+    plane, against the plane of incidence, from a zero that is the instrument's own. Values are reflectance factors: the perfect reflecting diffuser is 100 in every geometry.
 
     Attributes:
         incidence_deg, receiving_deg, tilt_deg: `[M]`.
@@ -162,6 +162,13 @@ class BrdfMeasurement:
         digest.update(np.ascontiguousarray(self.values).tobytes() + self.valid.tobytes())
         return digest.hexdigest()
 
+    @property
+    def has_colour(self) -> bool:
+        """False where the channels are spectral bands that do not span the visible range."""
+        from raden_torch.measurement import colour_conversion
+
+        return colour_conversion.why_no_colour(self) is None
+
     def as_xyz(self) -> BrdfMeasurement:
         """The same readings as CIE XYZ reflectance factors under `metadata.white`."""
         from raden_torch.measurement import colour_conversion
@@ -190,6 +197,26 @@ class BrdfMeasurement:
             valid=self.valid[rows],
         )
 
+    @property
+    def azimuths(self) -> int:
+        """How many sample azimuths the readings were taken at; 1 where none is given."""
+        if self.azimuth_deg is None:
+            return 1
+        return len(np.unique(np.round(self.azimuth_deg, _ANGLE_DIGITS)))
+
+    @property
+    def is_grid(self) -> bool:
+        """True where the readings fill a good part of a regular grid, at one azimuth."""
+        cells = np.prod([len(axis) for axis, _ in self._axes()], dtype=np.float64)
+        return bool(
+            self.azimuths == 1 and cells <= min(_MAX_GRID_CELLS, _SCATTERED * len(self) + 1000)
+        )
+
+    def _axes(self) -> list[tuple[Floats, NDArray[np.intp]]]:
+        """Per angle: its distinct values, and which of them each reading has."""
+        angles = (self.incidence_deg, self.receiving_deg, self.tilt_deg)
+        return [np.unique(np.round(a, _ANGLE_DIGITS), return_inverse=True) for a in angles]
+
     def grid(self) -> ReadingGrid:
         """The regular grid of these readings; its axes are the distinct angles that occur.
 
@@ -199,21 +226,15 @@ class BrdfMeasurement:
             InputError: the readings are scattered (their grid would be almost empty), or they were
                 taken at several azimuths.
         """
-        if self.azimuth_deg is not None and np.ptp(self.azimuth_deg) > 1e-6:
+        if self.azimuths > 1:
             raise InputError(
-                f"measurement: {len(np.unique(self.azimuth_deg))} sample azimuths do not make one "
-                "grid; select the readings of one azimuth"
+                f"measurement: {self.azimuths} sample azimuths do not make one grid; select the "
+                "readings of one azimuth"
             )
-        axes, index = zip(
-            *(
-                np.unique(np.round(angle, _ANGLE_DIGITS), return_inverse=True)
-                for angle in (self.incidence_deg, self.receiving_deg, self.tilt_deg)
-            ),
-            strict=True,
-        )
+        axes, index = zip(*self._axes(), strict=True)
         shape = tuple(len(axis) for axis in axes)
         cells = int(np.prod(shape, dtype=np.float64))
-        if cells > _MAX_GRID_CELLS or cells > _SCATTERED * len(self) + 1000:
+        if not self.is_grid:
             raise InputError(
                 f"measurement: {len(self)} readings lie scattered (a grid through all of them has "
                 f"{' x '.join(map(str, shape))} cells); a grid was wanted"

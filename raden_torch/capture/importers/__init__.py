@@ -5,17 +5,31 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from raden_torch.capture.importers import (
+    astm_e1392,
+    fred,
+    lighttools,
+    rt300s,
+    speos,
+    zemax_bsdf,
+)
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, native_csv
 
-_FORMATS = (native_csv,)
+_FORMATS = (native_csv, rt300s, zemax_bsdf, fred, lighttools, speos, astm_e1392)
 _HEAD_BYTES = 65_536
 
 
 def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
     """Read a measurement file; its format is found from its content, not from its name.
 
-    Formats: the project's CSV (see `raden_torch.measurement.native_csv`).
+    Formats (each module says what its format holds and what it cannot hold):
+
+    - the project's CSV (`raden_torch.measurement.native_csv`),
+    - the `.xls` workbook of a J&C RT-300S goniometer (`rt300s`) and its exports for LightTools
+      (`lighttools`) and SPEOS (`speos`),
+    - Zemax's tabular BSDF (`zemax_bsdf`), FRED's tabulated BSDF (`fred`),
+    - the text form of ASTM E1392 (`astm_e1392`).
 
     Raises:
         InputError: the file is missing, empty, of no known format, or wrong in itself; the message

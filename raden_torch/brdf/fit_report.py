@@ -1,0 +1,177 @@
+"""What a fit has to say for itself."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from raden_torch.brdf.diffuse_fit import EXPONENT_BOUNDS, DiffuseParameters
+from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.tabulate import Floats, Tabulated
+from raden_torch.measurement import BrdfMeasurement
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What a fit did, in numbers; `str` says it in words.
+
+    Attributes:
+        cells: nodes of the table; the next four say where they come from.
+        measured, from_equivalent, from_neighbours, from_diffuse: how many of the nodes; of
+            scattered readings a node counts as measured where one lies within half a step.
+        scattered: True where the readings do not lie on the table's nodes.
+        averaged: measured nodes at incidence 0 that were replaced by the mean over equivalents.
+        asymmetry: mean |difference| between equivalent geometries at incidence 0 over their mean.
+        reciprocity_mean, reciprocity_worst: |f(a,r,t) − f(reciprocal)| over the pair's mean, where
+            both were measured: averaged over the cells, weighted by f, and at its worst.
+        reading_rms: RMS of model − reading over all valid readings, over the 99.9 % quantile of
+            the readings, all in the channel mean; on a grid it is 0 but where `fit` averaged.
+        diffuse_scale, diffuse_exponent: S (1/sr) and n per channel.
+        diffuse_share: the diffuse part's share of the sum of all readings.
+        warnings: one sentence each.
+    """
+
+    cells: int
+    scattered: bool
+    measured: int
+    from_equivalent: int
+    from_neighbours: int
+    from_diffuse: int
+    averaged: int
+    asymmetry: float
+    reciprocity_mean: float
+    reciprocity_worst: float
+    reading_rms: float
+    diffuse_scale: tuple[float, float, float]
+    diffuse_exponent: tuple[float, float, float]
+    diffuse_share: float
+    warnings: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain JSON values; NaN becomes None."""
+        return {key: _plain(value) for key, value in asdict(self).items()}
+
+    def __str__(self) -> str:
+        triple = lambda values: ", ".join(f"{v:.4g}" for v in values)  # noqa: E731
+        lines = [
+            f"table: {self.cells} nodes, {self.measured} measured "
+            f"({_percent(self.measured / self.cells)}), {self.from_equivalent} from an "
+            f"equivalent geometry, {self.from_neighbours} from measured neighbours, "
+            f"{self.from_diffuse} from the diffuse part",
+            f"incidence 0: {self.averaged} nodes averaged over their equivalents "
+            f"(asymmetry {_percent(self.asymmetry)})",
+            f"reciprocity: broken by {_percent(self.reciprocity_mean)} on average, "
+            f"{_percent(self.reciprocity_worst)} at worst",
+            f"diffuse: S = {triple(self.diffuse_scale)} 1/sr, n = {triple(self.diffuse_exponent)} "
+            f"(R, G, B); {_percent(self.diffuse_share)} of all that was measured",
+            f"residual at the readings: {self.reading_rms:.2e} of the 99.9 % quantile (RMS)",
+        ]
+        return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
+
+
+def make_report(
+    measurement: BrdfMeasurement,
+    table: Tabulated,
+    model: RadenBrdf,
+    parameters: DiffuseParameters,
+    *,
+    fitted: bool,
+) -> FitReport:
+    """Compare the model with the readings and say where its table comes from."""
+    with torch.no_grad():
+        at = [torch.from_numpy(angle)[None, :, None] for angle in table.reading_angles]
+        whole = model.at_angles(*at)[:, :, 0].numpy().T
+        diffuse_only = model.diffuse(*at)[:, :, 0].numpy().T if model.diffuse else 0 * whole
+    truth = table.readings
+    error = (whole - truth).mean(axis=1)
+    level, total = float(np.quantile(truth.mean(axis=1), 0.999)), float(truth.sum())
+    reciprocity = reciprocity_error(table)
+    return FitReport(
+        cells=int(table.measured.size),
+        scattered=table.scattered,
+        measured=int(table.measured.sum()),
+        from_equivalent=int(table.from_equivalent.sum()),
+        from_neighbours=int(table.from_neighbours.sum()),
+        from_diffuse=int(table.without_neighbour.sum()),
+        averaged=int(table.averaged.sum()),
+        asymmetry=table.asymmetry,
+        reciprocity_mean=reciprocity[0],
+        reciprocity_worst=reciprocity[1],
+        reading_rms=float(np.sqrt(np.mean(error**2)) / level) if level > 0 else float("nan"),
+        diffuse_scale=parameters.scale,
+        diffuse_exponent=parameters.exponent,
+        diffuse_share=float(diffuse_only.sum() / total) if total > 0 else float("nan"),
+        warnings=(*table.warnings, *_warnings(measurement, table, parameters, fitted)),
+    )
+
+
+def _warnings(
+    measurement: BrdfMeasurement, table: Tabulated, parameters: DiffuseParameters, fitted: bool
+) -> tuple[str, ...]:
+    found = []
+    at_bound = [
+        f"{channel}: n = {n:g}"
+        for channel, n in zip("RGB", parameters.exponent, strict=True)
+        if n <= EXPONENT_BOUNDS[0] * 1.001 or n >= EXPONENT_BOUNDS[1] * 0.999
+    ]
+    if fitted and at_bound:
+        found.append(
+            f"the diffuse exponent stopped at a bound of {list(EXPONENT_BOUNDS)} "
+            f"({', '.join(at_bound)}): the formula does not describe this sample's diffuse part"
+        )
+    invalid = int((~measurement.valid).sum())
+    if invalid:
+        found.append(f"{invalid} of {len(measurement)} readings are not valid and were left out")
+    negative = int((measurement.values[measurement.valid] < 0).any(axis=1).sum())
+    if negative:
+        found.append(f"{negative} readings have a negative value (noise); they were kept")
+    if table.without_neighbour.any():
+        found.append(
+            f"{int(table.without_neighbour.sum())} nodes have no measured neighbour within three "
+            "steps; the diffuse part alone stands there"
+        )
+    return tuple(found)
+
+
+def reciprocity_error(table: Tabulated) -> tuple[float, float]:
+    """|f − f of the reciprocal geometry|, on average and at worst; NaN where no pair was measured.
+
+    Light and viewer change places: (a, r, t) ↔ (r, a, −t) for r ≥ 0 and (−r, −a, t) for r < 0.
+    """
+    a, r, t = np.meshgrid(*table.axes_deg, indexing="ij")
+    swapped = (
+        np.where(r >= 0, r, -r),
+        np.where(r >= 0, a, -a),
+        np.where(r >= 0, -t, t),
+    )
+    index = []
+    there = np.ones(a.shape, bool)
+    for axis, angle in zip(table.axes_deg, swapped, strict=True):
+        place = np.clip(np.searchsorted(axis, angle - 1e-6), 0, len(axis) - 1)
+        there &= abs(axis[place] - angle) < 1e-6
+        index.append(place)
+    value: Floats = np.where(table.measured, table.before_averaging.mean(axis=-1), np.nan)
+    other = value[tuple(index)]
+    pair = there & ~np.isnan(value) & ~np.isnan(other)
+    size = (abs(value) + abs(other))[pair] / 2
+    if not pair.any() or size.sum() == 0:
+        return float("nan"), float("nan")
+    difference = abs(value - other)[pair]
+    worst = np.max(difference / np.maximum(size, 1e-6 * size.max()))
+    return float(difference.sum() / size.sum()), float(worst)
+
+
+def _percent(share: float) -> str:
+    return "not known" if np.isnan(share) else f"{100 * share:.3g} %"
+
+
+def _plain(value: Any) -> Any:
+    """JSON has no NaN: it becomes None."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and np.isnan(value) else value

@@ -1,0 +1,157 @@
+"""Readings → a table of f_r on a uniform grid, with a note of where every node comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from raden_torch.brdf.fill import Bools, Floats, fill
+from raden_torch.brdf.regularise import regularise
+from raden_torch.errors import InputError
+from raden_torch.measurement import BrdfMeasurement, ReadingGrid
+from raden_torch.measurement.readings import RGB, WHITE_LEVEL
+
+__all__ = ["Floats", "Tabulated", "tabulate"]
+
+SCATTERED_STEP_DEG = 5.0
+"""The table's step where the readings have no grid of their own: the paper's."""
+
+_MAX_NODES = 361  # on one axis, and
+_MAX_CELLS = 4_000_000  # in the table
+_FACTOR_TO_F_R = 1 / (WHITE_LEVEL * np.pi)
+
+
+@dataclass(frozen=True)
+class Tabulated:
+    """A table and its history; all `[A, R, T]` unless stated.
+
+    Attributes:
+        axes_deg: incidence, receiving, tilt, evenly spaced.
+        values: `[A, R, T, 3]` f_r in 1/sr; NaN in the nodes of `without_neighbour`.
+        before_averaging: the same before equivalents at incidence 0 were averaged.
+        measured: the node was measured; scattered readings: one lies within half a step.
+        from_equivalent, from_neighbours, without_neighbour, averaged: see `fill.Filled`.
+        asymmetry: see `fill.Filled`.
+        reading_angles: incidence, receiving, tilt of the valid readings, `[M]` each, in radians.
+        readings: `[M, 3]` their f_r in 1/sr.
+        scattered: True where the readings do not lie on nodes.
+        warnings: one sentence each.
+    """
+
+    axes_deg: tuple[Floats, Floats, Floats]
+    values: Floats
+    before_averaging: Floats
+    measured: Bools
+    from_equivalent: Bools
+    from_neighbours: Bools
+    without_neighbour: Bools
+    averaged: Bools
+    asymmetry: float
+    reading_angles: tuple[Floats, Floats, Floats]
+    readings: Floats
+    scattered: bool
+    warnings: tuple[str, ...]
+
+
+def tabulate(measurement: BrdfMeasurement) -> Tabulated:
+    """Put readings on a table.
+
+    Readings on a grid keep their nodes; scattered ones, or ones at several sample azimuths, are
+    regularised onto nodes 5 degrees apart.
+
+    Raises:
+        InputError: no valid reading, one value only on an axis, or a table too large.
+    """
+    every, warnings = _as_rgb(measurement)
+    rgb = every.select(every.valid) if every.valid.any() else None
+    if rgb is None:
+        raise InputError("measurement: none of its readings is valid; nothing can be fitted")
+    angles = (rgb.incidence_deg, rgb.receiving_deg, rgb.tilt_deg)
+    for name, angle in zip(("incidence", "receiving", "tilt"), angles, strict=True):
+        if np.ptp(angle) < 1e-6:
+            raise InputError(
+                f"measurement: {name} has one value only ({angle[0]:g} deg); a model needs at "
+                "least two on each of incidence, receiving and tilt"
+            )
+    f_r = rgb.values * _FACTOR_TO_F_R
+    grid = _uniform(every.grid()) if every.is_grid else None
+    scattered = grid is None
+    if grid is None:
+        axes = _axis_around(angles[0]), _axis_around(angles[1]), _axis_around(angles[2])
+        weight = np.ones(len(rgb)) if rgb.count is None else rgb.count.astype(float)
+        start, measured, filled = regularise(axes, np.stack(angles, axis=1), f_r, weight)
+        warnings.append(_scattered_warning(rgb))
+    else:
+        axes, start, measured = grid.axes_deg, grid.values * _FACTOR_TO_F_R, grid.measured
+        filled = fill(axes, start)
+    return Tabulated(
+        axes_deg=axes,
+        values=filled.values,
+        before_averaging=start,
+        measured=measured,
+        from_equivalent=filled.from_equivalent,
+        from_neighbours=filled.from_neighbours,
+        without_neighbour=filled.without_neighbour,
+        averaged=filled.averaged,
+        asymmetry=filled.asymmetry,
+        reading_angles=(np.deg2rad(angles[0]), np.deg2rad(angles[1]), np.deg2rad(angles[2])),
+        readings=f_r,
+        scattered=scattered,
+        warnings=tuple(warnings),
+    )
+
+
+def _as_rgb(measurement: BrdfMeasurement) -> tuple[BrdfMeasurement, list[str]]:
+    """Linear RGB; bands that make no colour become a grey, with a warning."""
+    if measurement.is_spectral and not measurement.has_colour:
+        bands = ", ".join(measurement.channels[:4])
+        grey = np.repeat(measurement.values.mean(axis=1, keepdims=True), 3, axis=1)
+        warning = f"the bands ({bands}) make no colour: the model is grey"
+        return replace(measurement, values=grey, channels=RGB, std=None), [warning]
+    return measurement.as_rgb(), []
+
+
+def _uniform(grid: ReadingGrid) -> ReadingGrid | None:
+    """The same grid with evenly spaced axes; nodes that were not there are NaN.
+
+    None where the angles have no common step: then they are as good as scattered.
+    """
+    axes, places = [], []
+    for axis in grid.axes_deg:
+        step = _common_step(axis)
+        nodes = round((axis[-1] - axis[0]) / step) + 1
+        if nodes > _MAX_NODES:
+            return None
+        axes.append(axis[0] + step * np.arange(nodes))
+        places.append(np.rint((axis - axis[0]) / step).astype(int))
+    shape = tuple(len(axis) for axis in axes)
+    if np.prod(shape, dtype=np.float64) > _MAX_CELLS:
+        raise InputError(
+            f"measurement: a table of {' x '.join(map(str, shape))} nodes was asked for; at most "
+            f"{_MAX_CELLS} are made"
+        )
+    values = np.full((*shape, grid.values.shape[-1]), np.nan)
+    values[np.ix_(*places)] = grid.values
+    return ReadingGrid(axes[0], axes[1], axes[2], values, grid.channels)
+
+
+def _common_step(axis: Floats) -> float:
+    """The greatest step, in whole 1e-4 degrees, that reaches every node."""
+    return float(np.gcd.reduce(np.rint(np.diff(axis) * 1e4).astype(np.int64))) / 1e4
+
+
+def _axis_around(angle: Floats) -> Floats:
+    """Nodes at whole steps that enclose the readings."""
+    low, high = (
+        np.floor(angle.min() / SCATTERED_STEP_DEG),
+        np.ceil(angle.max() / SCATTERED_STEP_DEG),
+    )
+    return np.asarray(SCATTERED_STEP_DEG * np.arange(low, high + 1))
+
+
+def _scattered_warning(rgb: BrdfMeasurement) -> str:
+    text = f"{len(rgb)} scattered readings were regularised onto a {SCATTERED_STEP_DEG:g} deg table"
+    if rgb.azimuths > 1:
+        text += f"; the model knows no sample azimuth and takes all {rgb.azimuths} of them as one"
+    return text
