@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from raden_torch.brdf.display import auto_exposure_ev, to_display, write_picture
-from raden_torch.brdf.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.image_file import (
     Green,
     read_mask,
@@ -19,6 +18,7 @@ from raden_torch.brdf.image_file import (
     read_photograph,
     write_photograph,
 )
+from raden_torch.brdf.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.model_file import load_model
 from raden_torch.brdf.plate import plate, shade_plate

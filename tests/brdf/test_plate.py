@@ -1,0 +1,107 @@
+"""The lacquered plate: its layers, its lacquer, and what its picture shows."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import raden_torch as rt
+from raden_torch.brdf.lacquer import Lacquer, fresnel, ggx, smith
+from raden_torch.brdf.motif import inlay, pieces
+from raden_torch.brdf.plate import plate, shade_plate
+from raden_torch.errors import InputError
+
+
+def test_layers_share_each_pixel() -> None:
+    made = plate(96, samples=1)
+    together = made.shell.mask + made.lacquer.mask
+    assert together.min() >= 0
+    assert together.max() <= 1 + 1e-6
+    assert 0.4 < together.mean() < 0.9
+    assert 0.1 < made.shell.mask.sum() / together.sum() < 0.5
+    edges = (made.shell.mask > 0.01) & (made.shell.mask < 0.99)
+    assert edges.float().mean() > 0.02  # anti-aliased
+    for layer in (made.shell, made.lacquer):
+        assert (layer.normal.norm(dim=1) - 1).abs().max() < 1e-5
+        to_camera = torch.tensor(layer.camera).view(1, 3, 1, 1) - layer.position
+        assert ((layer.normal * to_camera).sum(1)[layer.mask[:, 0] > 0] > 0).all()
+
+
+def test_pieces_do_not_overlap_and_fill_their_circles() -> None:
+    n = 400
+    x, y = torch.meshgrid(*[torch.linspace(-1, 1, n, dtype=torch.float64)] * 2, indexing="xy")
+    total = torch.zeros_like(x)
+    for piece in pieces():
+        inside = piece.distance(x, y) > 0
+        away = torch.hypot(x - piece.x, y - piece.y)[inside]
+        assert away.numel() > 0
+        assert away.max() <= piece.reach
+        total += inside
+    assert (total > 1).float().mean() < 0.002
+    coverage, lean = inlay(x, y, 2 / n)
+    assert (coverage - (total > 0).double()).abs().mean() < 0.02
+    assert lean.abs().max() < math.tan(math.radians(12))
+
+
+def test_wrong_plates_are_refused() -> None:
+    with pytest.raises(InputError, match="not above the plate"):
+        plate(32, (0, -3, 0.1))
+    with pytest.raises(InputError, match="16384"):
+        plate(20_000)
+
+
+def test_fresnel_at_its_known_points() -> None:
+    """Normal incidence ((n−1)/(n+1))²; grazing 1; at Brewster's angle p vanishes."""
+    index = 1.53
+    at = lambda degrees: fresnel(torch.tensor(degrees).deg2rad().cos().double(), index).item()  # noqa: E731
+    assert at(0.0) == pytest.approx(((index - 1) / (index + 1)) ** 2)
+    assert at(90.0) == pytest.approx(1, abs=1e-6)
+    brewster = math.atan(index)
+    s = math.sin(brewster - math.asin(math.sin(brewster) / index)) ** 2
+    assert at(math.degrees(brewster)) == pytest.approx(s / 2, rel=1e-5)
+
+
+def test_ggx_is_a_distribution() -> None:
+    """∫ D cos θ dω = 1 over the hemisphere (Walter et al. 2007, eq. 4)."""
+    theta = (torch.arange(200_000, dtype=torch.float64) + 0.5) / 200_000 * math.pi / 2
+    for alpha in (0.05, 0.3, 0.8):
+        integrand = ggx(theta.cos(), alpha) * theta.cos() * theta.sin()
+        assert 2 * math.pi * integrand.mean() * math.pi / 2 == pytest.approx(1, rel=1e-3)
+        assert smith(torch.tensor(1.0), alpha) == pytest.approx(1)
+
+
+def test_lacquer_is_reciprocal_and_loses_energy(random_vectors) -> None:
+    lacquer = Lacquer()
+    up = torch.tensor([0.0, 0, 1]).view(1, 3, 1, 1).double()
+    light, view = random_vectors(20_000, 1), random_vectors(20_000, 2)
+    f = lacquer.of_unit_vectors(up, light, view)
+    torch.testing.assert_close(f, lacquer.of_unit_vectors(up, view, light))
+    assert (f >= 0).all()
+    assert (lacquer.of_unit_vectors(up, light, -view) == 0).all()
+    rough = Lacquer(base=(0.9, 0.9, 0.9), roughness=0.5)
+    one = random_vectors(1, 3)
+    albedo = 2 * math.pi * (rough.of_unit_vectors(up, one, view) * view[:, 2:]).mean()
+    assert 0.3 < albedo < 1
+
+
+def test_the_colour_travels_over_the_plate_and_the_highlight_is_where_it_should_be() -> None:
+    model = rt.fit(rt.simulate_specimen("yakogai")).model
+    made = plate(128, samples=1)
+    lamp = (-0.5, 1.0, 3.0)
+    with torch.no_grad():
+        image = shade_plate(model, made, [rt.PointLight(lamp)])
+        gloss = rt.shade(Lacquer(base=(0.0, 0.0, 0.0)), made.lacquer, rt.PointLight(lamp))
+    assert torch.isfinite(image).all()
+    # the mirror image of the lamp in the (nearly flat) plate
+    camera = made.lacquer.camera
+    share = lamp[2] / (lamp[2] + camera[2])
+    expected = [lamp[k] + share * (camera[k] - lamp[k]) for k in (0, 1)]
+    peak = (gloss.mean(dim=1) * (made.lacquer.mask[:, 0] > 0.9)).flatten().argmax()
+    x, y = (made.lacquer.position[0, k].flatten()[peak].item() for k in (0, 1))
+    assert math.hypot(x - expected[0], y - expected[1]) < 0.25
+    shell = image.movedim(1, -1)[made.shell.mask[:, 0] > 0.95]
+    green_share = shell[:, 1] / shell.clamp(min=1e-6).sum(dim=1)
+    assert green_share.quantile(0.95) - green_share.quantile(0.05) > 0.08
+    assert (shell.sum(dim=1) > 0).all()  # no black holes
