@@ -17,6 +17,8 @@ from raden_torch.files import check_writable
 
 if TYPE_CHECKING:
     from raden_torch.brdf.lights import Light
+    from raden_torch.brdf.model import RadenBrdf
+    from raden_torch.measurement import BrdfMeasurement
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -93,23 +95,50 @@ def info(
     ] = None,
 ) -> None:
     """Say what a file holds; score a model on readings that it was not fitted to."""
-    from raden_torch.capture.importers import load_measurement
     from raden_torch.describe import describe_measurement, describe_model
+    from raden_torch.measurement import BrdfMeasurement
 
     with _working(f"reading {file.name}"):
-        if not _is_model(file):
+        loaded = _load(file)
+        if isinstance(loaded, BrdfMeasurement):
             if against is not None:
                 raise InputError(f"{file}: is a measurement; --against scores a model")
-            text = describe_measurement(load_measurement(file))
+            text = describe_measurement(loaded)
         else:
-            from raden_torch.brdf.model_file import load_model
-            from raden_torch.brdf.score import score
-
-            model = load_model(file)
-            text = describe_model(model)
+            text = describe_model(loaded)
             if against is not None:
-                text += f"\nagainst {against.name}: {score(model, load_measurement(against))}"
+                from raden_torch.brdf.score import score
+                from raden_torch.capture.importers import load_measurement
+
+                text += f"\nagainst {against.name}: {score(loaded, load_measurement(against))}"
     print(text)
+
+
+@app.command(epilog="Example: raden plot shell.csv -o graphs.png --figure 5 --figure 9")
+def plot(
+    file: Annotated[Path, typer.Argument(help="a measurement or a model")],
+    output: Annotated[Path, typer.Option("--output", "-o", help=".png, .svg or .pdf")],
+    figure: Annotated[
+        list[str] | None, typer.Option(help="5, 6, 7, 8, 9 or path; may be repeated; else all")
+    ] = None,
+    incidence: Annotated[float, typer.Option(help="held in figs 5, 6 and 9, degrees")] = 20.0,
+    tilt: Annotated[float, typer.Option(help="held in fig. 5, degrees")] = 10.0,
+    surface_tilt: Annotated[float, typer.Option(help="held in figs 7 and 8, degrees")] = 55.0,
+) -> None:
+    """Draw the paper's graphs of a measurement or a model."""
+    from raden_torch.plots import FIGURES, check_plot_path, draw, save_plot
+
+    check_plot_path(output)
+    with _working(f"drawing {file.name}"):
+        sheet = draw(
+            _load(file),
+            figure or FIGURES,
+            incidence_deg=incidence,
+            tilt_deg=tilt,
+            surface_tilt_deg=surface_tilt,
+        )
+        save_plot(sheet, output)
+    print(f"wrote {output}")
 
 
 @app.command(epilog="Example: raden render shell.safetensors --light 1,1,2 -o sphere.png")
@@ -167,6 +196,9 @@ def relight(
     strip: Annotated[
         int | None, typer.Option(help="instead: this many lamps in a ring, side by side")
     ] = None,
+    elevation: Annotated[
+        float, typer.Option(help="of the ring of lamps above the picture, degrees")
+    ] = 40.0,
     green: Annotated[
         Green, typer.Option(help="which way green points in the normal map")
     ] = Green.opengl,
@@ -188,6 +220,7 @@ def relight(
             output,
             lights=[_light(text) for text in light or ["1,1,2"]],
             strip=strip,
+            elevation_deg=elevation,
             green=green.value,
             exposure_ev=_stops(exposure),
         )
@@ -207,13 +240,20 @@ def demo(
     print(f"open {page}")
 
 
-def _is_model(path: Path) -> bool:
-    """A safetensors file starts with the length of a JSON header, then the header."""
+def _load(path: Path) -> BrdfMeasurement | RadenBrdf:
+    """A model or a measurement, whichever the file is."""
     try:
         with path.open("rb") as file:
-            return file.read(9)[8:9] == b"{"
+            head = file.read(9)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; a measurement or a model was wanted") from None
+    if head[8:9] == b"{":  # safetensors: the length of a JSON header, then the header
+        from raden_torch.brdf.model_file import load_model
+
+        return load_model(path)
+    from raden_torch.capture.importers import load_measurement
+
+    return load_measurement(path)
 
 
 def _light(text: str) -> Light:

@@ -8,21 +8,27 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import torch
 from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
+from torch import Tensor
 
 from raden_torch.brdf.fit import FitResult, fit
+from raden_torch.brdf.image_file import Photograph, write_photograph
+from raden_torch.brdf.lacquer import Lacquer
 from raden_torch.brdf.lights import DirectionalLight
 from raden_torch.brdf.model_file import save_model
+from raden_torch.brdf.plate import plate
 from raden_torch.brdf.score import score
+from raden_torch.brdf.shade import shade
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.optics import simulate_specimen
-from raden_torch.pictures import render_shape, save_picture
+from raden_torch.pictures import relight_files, render_shape, save_picture
+from raden_torch.plots import draw, save_plot
 
 Result = TypeVar("Result")
 
@@ -66,6 +72,9 @@ def run_demo(out: Path, *, size: int = 512) -> Path:
         figures = [
             step("lighting the sphere", lambda: _sphere(result, out, size)),
             step("moving the lamp", lambda: _lamp_strip(result, out, size // 2)),
+            step("setting the shell in lacquer", lambda: _plate(result, out, size)),
+            step("relighting a photograph", lambda: _relit(result, out, size // 2)),
+            step("drawing the graphs", lambda: _graphs(measurement, out)),
         ]
     seconds = time.perf_counter() - started
     page = out / "index.html"
@@ -113,6 +122,56 @@ def _lamp_strip(result: FitResult, out: Path, size: int) -> Figure:
         "Six lamps",
         f"The lamp goes round the sphere, from {_STRIP_DEG[0]} to {_STRIP_DEG[-1]} degrees; "
         "one exposure for all.",
+    )
+
+
+def _plate(result: FitResult, out: Path, size: int) -> Figure:
+    image = render_shape(result.model, "plate", size=size * 5 // 4, samples=2)
+    save_picture(image, out / "plate.png", result.model)
+    return Figure(
+        "plate.png",
+        "Raden in black urushi (the paper's fig. 11)",
+        "Every piece of shell leans a little otherwise, as cut shell does, and takes another "
+        "colour. Two small lamps; the lacquer has its own gloss.",
+    )
+
+
+def _relit(result: FitResult, out: Path, size: int) -> Figure:
+    """The inputs of `raden relight` as files (a simulated photograph), and what becomes of them."""
+    plain = plate(size, (0.0, 0.0, 6.0), samples=1)
+    lamp = [DirectionalLight((-1.0, 1.0, 1.5))]
+    bone = shade(Lacquer(base=(0.55, 0.52, 0.45)), plain.shell, lamp)
+    photo = Photograph((bone + shade(Lacquer(), plain.lacquer, lamp)).clamp(0, 1), 255)
+    write_photograph(photo, out / "simulated_photograph.png")
+    mask = cast(Tensor, plain.shell.mask).expand(1, 3, -1, -1)
+    write_photograph(Photograph(mask, 255), out / "mask.png", coded="linear")
+    normals = (plain.shell.normal + 1) / 2
+    write_photograph(Photograph(normals, 65535), out / "normals.png", coded="linear")
+    relight_files(
+        [out / "simulated_photograph.png"],
+        out / "normals.png",
+        out / "mask.png",
+        out / "shell.safetensors",
+        out / "relit.png",
+        strip=6,
+        elevation_deg=65.0,
+    )
+    return Figure(
+        "relit.png",
+        "A photograph relit",
+        "A simulated photograph of a plate with bone inlay becomes raden under six lamps around "
+        "it: raden relight simulated_photograph.png --normals normals.png --mask mask.png "
+        "--model shell.safetensors --strip 6 --elevation 65 -o relit.png",
+    )
+
+
+def _graphs(measurement: BrdfMeasurement, out: Path) -> Figure:
+    save_plot(draw(measurement), out / "graphs.png")
+    return Figure(
+        "graphs.png",
+        "The paper's figs. 5 to 9, and the path of the colour",
+        "The mirror ridge, the diffuse part and its fit, the two peaks along the tilt, and how the "
+        "colour travels with the angle.",
     )
 
 

@@ -103,8 +103,9 @@ def relight_files(
     model: Path,
     output: Path,
     *,
-    lights: Sequence[Light],
+    lights: Sequence[Light] = (),
     strip: int | None = None,
+    elevation_deg: float = 40.0,
     green: Green = "opengl",
     exposure_ev: float | None = None,
 ) -> list[Path]:
@@ -113,6 +114,7 @@ def relight_files(
     Args:
         output: the image to write, or a folder (made where missing) for several photographs.
         strip: this many lamps in a ring, side by side, instead of `lights`.
+        elevation_deg: the ring's angle above the picture's plane.
         exposure_ev: stops; where None the masked part keeps its mean luminance.
     """
     targets = _targets(photos, output)
@@ -126,7 +128,7 @@ def relight_files(
             if strip is None:
                 relit = relight(loaded, photo.linear, normal, coverage, lights, gain=gain)
             else:
-                lamps = lamp_ring(strip)
+                lamps = lamp_ring(strip, elevation_deg)
                 relit = relit_strip(loaded, photo.linear, normal, coverage, lamps, gain=gain)
         write_photograph(replace(photo, linear=relit), target, caption_of(loaded))
     return targets

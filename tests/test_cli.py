@@ -8,14 +8,17 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 import raden_torch as rt
 
 
-def raden(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def raden(
+    *arguments: object, cwd: Path | None = None, warn: str = "error"
+) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-W", "error", "-m", "raden_torch.cli", *map(str, arguments)],
+        [sys.executable, "-W", warn, "-m", "raden_torch.cli", *map(str, arguments)],
         capture_output=True,
         text=True,
         cwd=cwd,
@@ -67,6 +70,46 @@ def test_render_takes_light_and_camera(shell: Path) -> None:
 
 
 @pytest.mark.slow
+def test_render_plate_plot_and_relight(shell: Path) -> None:
+    model = shell / "shell.safetensors"
+    done = raden("render", model, "--shape", "plate", "--size", 64, "-o", shell / "plate.png")
+    assert done.returncode == 0, done.stderr
+    assert cv2.imread(str(shell / "plate.png")).max() > 100
+    for source in ("shell.csv", "shell.safetensors"):
+        done = raden(
+            "plot", shell / source, "--figure", "5", "--figure", "path", "-o", shell / "g.png"
+        )
+        assert done.returncode == 0, done.stderr
+        assert min(cv2.imread(str(shell / "g.png")).shape[:2]) > 300
+    n = 40
+    x, y = np.meshgrid(np.linspace(-1, 1, n), np.linspace(1, -1, n))
+    inside = x * x + y * y < 0.8
+    z = np.sqrt(np.clip(1 - x * x - y * y, 0, 1))
+    normals = (np.stack([z, y, x], axis=-1) + 1) / 2 * 65535 * inside[..., None]
+    cv2.imwrite(str(shell / "n.png"), normals.astype(np.uint16))
+    cv2.imwrite(str(shell / "m.png"), inside.astype(np.uint8) * 255)
+    for name in ("p1.png", "p2.png"):
+        cv2.imwrite(str(shell / name), np.full((n, n, 3), 90, np.uint8))
+    maps = ("--normals", shell / "n.png", "--mask", shell / "m.png", "--model", model)
+    both = (shell / "p1.png", shell / "p2.png")
+    done = raden("relight", *both, *maps, "--light", "1,0,1", "-o", shell / "relit")
+    assert done.returncode == 0, done.stderr
+    one, two = (cv2.imread(str(shell / "relit" / p.name)) for p in both)
+    assert np.array_equal(one, two)
+    assert (one[:30][~inside[:30]] == 90).all()  # above the caption
+    assert (
+        one[:, n // 2 :][inside[:, n // 2 :]].mean() > one[:, : n // 2][inside[:, : n // 2]].mean()
+    )
+    done = raden("relight", both[0], *maps, "--strip", "4", "-o", shell / "strip.png")
+    assert cv2.imread(str(shell / "strip.png")).shape == (n, 4 * n, 3)
+    cv2.imwrite(str(shell / "n.jpg"), (normals / 257).astype(np.uint8))
+    jpeg = ("--normals", shell / "n.jpg", "--model", model, "-o", shell / "j.png")
+    done = raden("relight", both[0], *jpeg, warn="default")
+    assert done.returncode == 0
+    assert "raden: warning:" in done.stderr
+
+
+@pytest.mark.slow
 def test_demo_makes_a_gallery(tmp_path: Path) -> None:
     done = raden("demo", "--out", tmp_path / "gallery", "--size", 128)
     assert done.returncode == 0, done.stderr
@@ -98,6 +141,15 @@ BAD = {
     "unknown file": ("info", "none"),
     "score of a measurement": ("info", "bad.csv", "--against", "bad.csv"),
     "gallery is a file": ("demo", "--out", "bad.csv"),
+    "plot suffix": ("plot", "bad.csv", "-o", "p.txt"),
+    "plot of a bad file": ("plot", "bad.csv", "-o", "p.png"),
+    "relight without normals": (
+        *("relight", "bad.csv", "--normals", "n.png", "--model", "m.safetensors", "-o", "p.png"),
+    ),
+    "strip and light": (
+        *("relight", "bad.csv", "--normals", "n.png", "--model", "m.safetensors", "-o", "p.png"),
+        *("--strip", "3", "--light", "1,1,1"),
+    ),
 }
 
 
@@ -112,7 +164,7 @@ def test_bad_input_is_one_line_and_exit_code_2(name: str, tmp_path: Path) -> Non
     assert [p.name for p in tmp_path.iterdir()] == ["bad.csv"]
 
 
-@pytest.mark.parametrize("command", ["fit", "info", "render", "demo"])
+@pytest.mark.parametrize("command", ["fit", "info", "plot", "render", "relight", "demo"])
 def test_help_has_an_example(command: str) -> None:
     done = raden(command, "--help")
     assert done.returncode == 0

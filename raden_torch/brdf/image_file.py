@@ -52,12 +52,17 @@ def read_photograph(path: str | os.PathLike[str]) -> Photograph:
 
 
 def write_photograph(
-    photo: Photograph, path: str | os.PathLike[str], caption: str | None = None
+    photo: Photograph,
+    path: str | os.PathLike[str],
+    caption: str | None = None,
+    *,
+    coded: Literal["srgb", "linear"] = "srgb",
 ) -> None:
     """Write a photograph as it was stored: its bit depth, sRGB for whole numbers.
 
     Args:
         caption: a small line drawn into the lower left corner of a whole-number file.
+        coded: "linear" leaves whole numbers without the sRGB curve, as normal maps and masks are.
 
     Raises:
         InputError: a suffix that cannot hold it.
@@ -73,8 +78,11 @@ def write_photograph(
     else:
         _check_suffix(path, (".png", ".jpg", ".jpeg", ".tif", ".tiff"), "a photograph")
         levels = 255 if suffix in (".jpg", ".jpeg") else photo.levels
-        coded = linear_rgb_to_rgb(rgb[None].clamp(0, 1))[0].movedim(0, -1).numpy()
-        pixels = np.rint(coded * levels).astype(np.uint8 if levels == 255 else np.uint16)
+        shown = rgb[None].clamp(0, 1)
+        shown = linear_rgb_to_rgb(shown) if coded == "srgb" else shown
+        pixels = np.rint(shown[0].movedim(0, -1).numpy() * levels).astype(
+            np.uint8 if levels == 255 else np.uint16
+        )
     bgr = np.ascontiguousarray(pixels[..., ::-1])
     if caption and photo.levels is not None:
         draw_caption(bgr, caption)

@@ -80,7 +80,8 @@ class BrdfMeasurement:
 
     Angles are in degrees: incidence 0…90, receiving −90…90 (positive away from the light, so the
     mirror lies at receiving = incidence), tilt −90…90; `azimuth_deg` turns the sample in its own
-    plane, against the plane of incidence, from a zero that is the instrument's own. Values are reflectance factors: the perfect reflecting diffuser is 100 in every geometry.
+    plane, against the plane of incidence, from a zero that is the instrument's own. Values are
+    reflectance factors: the perfect reflecting diffuser is 100 in every geometry.
 
     Attributes:
         incidence_deg, receiving_deg, tilt_deg: `[M]`.

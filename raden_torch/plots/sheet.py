@@ -1,0 +1,156 @@
+"""One sheet with the graphs asked for, and its file."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from raden_torch.brdf.model import RadenBrdf
+from raden_torch.errors import InputError
+from raden_torch.files import check_writable, written_beside
+from raden_torch.measurement import BrdfMeasurement
+from raden_torch.plots.chromaticity import plot_path
+from raden_torch.plots.cuts import ANGLE_LIMITS_DEG
+from raden_torch.plots.lines import plot_in_plane, plot_over_tilt
+from raden_torch.plots.look import INK, TEXT, families, printable
+from raden_torch.plots.surfaces import plot_diffuse_surface, plot_specular_surface
+from raden_torch.plots.view import View, view_of
+
+FIGURES = ("5", "6", "7", "8", "9", "path")
+"""The paper's figures 5 to 9, and the iridescence path."""
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+
+_SURFACES = ("7", "8", "9")
+_COLUMNS = 2
+_PANEL_INCHES = (6.4, 4.5)
+_HEAD_INCHES = 0.6
+_DPI = 120
+_LETTERS_PER_INCH = 10.5  # of the head
+
+
+def draw(
+    source: BrdfMeasurement | RadenBrdf,
+    figures: Sequence[str] = FIGURES,
+    *,
+    incidence_deg: float = 20.0,
+    tilt_deg: float = 10.0,
+    surface_tilt_deg: float = 55.0,
+    receiving_deg: float | None = None,
+) -> Figure:
+    """One sheet with the graphs asked for, in their order.
+
+    Args:
+        source: a measurement (its nodes nearest to the angles are drawn, and named) or a model.
+        figures: of `FIGURES`.
+        incidence_deg: held in figures 5, 6 and 9; the path's tilt is the brightest there.
+        tilt_deg: held in figure 5.
+        surface_tilt_deg: held in figures 7 and 8.
+        receiving_deg: held in figure 6; where None, 40° away from the mirror.
+
+    Raises:
+        InputError: an unknown figure, an angle out of range, or no valid reading.
+    """
+    wanted = _check_figures(figures)
+    at = {
+        "incidence_deg": incidence_deg,
+        "tilt_deg": tilt_deg,
+        "surface_tilt_deg": surface_tilt_deg,
+    }
+    for name, angle in (*at.items(), ("receiving_deg", receiving_deg)):
+        if angle is not None:
+            _check_angle(name, angle)
+    view = view_of(source)
+    figure, axes = _empty_sheet(wanted)
+    for name, ax in zip(wanted, axes, strict=True):
+        _draw_panel(name, ax, view, at, receiving_deg)
+    _write_head(figure, view)
+    return figure
+
+
+def save_plot(figure: Figure, path: str | os.PathLike[str]) -> None:
+    """Write a sheet as PNG, SVG or PDF, by the suffix.
+
+    Raises:
+        InputError: another suffix, or a folder that does not exist.
+    """
+    check_plot_path(path)
+    with written_beside(path) as temporary:
+        figure.savefig(temporary, dpi=_DPI, format=Path(path).suffix[1:].lower())
+
+
+def check_plot_path(path: str | os.PathLike[str]) -> None:
+    """Raise InputError where a sheet could not be written, so before the work is done."""
+    path = Path(path)
+    if path.suffix.lower() not in PLOT_SUFFIXES:
+        wanted = ", ".join(PLOT_SUFFIXES)
+        raise InputError(f"{path}: suffix {path.suffix or '(none)'}; one of {wanted} was wanted")
+    check_writable(path)
+
+
+def _draw_panel(
+    name: str, ax: Any, view: View, at: dict[str, float], receiving_deg: float | None
+) -> None:
+    incidence_deg, surface_tilt_deg = at["incidence_deg"], at["surface_tilt_deg"]
+    if name == "5":
+        plot_in_plane(ax, view, incidence_deg=incidence_deg, tilt_deg=at["tilt_deg"])
+    elif name == "6":
+        plot_over_tilt(ax, view, incidence_deg=incidence_deg, receiving_deg=receiving_deg)
+    elif name in ("7", "8"):
+        plot_diffuse_surface(ax, view, tilt_deg=surface_tilt_deg, fit=name == "8")
+    elif name == "9":
+        plot_specular_surface(ax, view, incidence_deg=incidence_deg)
+    else:
+        plot_path(ax, view, incidence_deg=incidence_deg)
+
+
+def _check_figures(figures: Sequence[str]) -> tuple[str, ...]:
+    wanted = (figures,) if isinstance(figures, str) else tuple(map(str, figures))
+    for name in wanted:
+        if name not in FIGURES:
+            raise InputError(f"plot: figure {name!r} is not known; {', '.join(FIGURES)} are")
+    if not wanted:
+        raise InputError(f"plot: no figure was asked for; {', '.join(FIGURES)} are known")
+    return wanted
+
+
+def _check_angle(name: str, angle: float) -> None:
+    of = next((of for of in ANGLE_LIMITS_DEG if of in name), "")
+    low, high = ANGLE_LIMITS_DEG[of]
+    if not low <= angle <= high:
+        raise InputError(f"plot: {name} = {angle:g}; it must lie in {low:g}…{high:g} degrees")
+
+
+def _empty_sheet(wanted: tuple[str, ...]) -> tuple[Figure, list[Any]]:
+    """A figure on the Agg canvas, with ordinary or 3-D axes a panel."""
+    columns = min(_COLUMNS, len(wanted))
+    rows = -(-len(wanted) // columns)
+    width, height = columns * _PANEL_INCHES[0], rows * _PANEL_INCHES[1] + _HEAD_INCHES
+    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = [
+        figure.add_subplot(rows, columns, i + 1, projection="3d" if name in _SURFACES else None)
+        for i, name in enumerate(wanted)
+    ]
+    return figure, axes
+
+
+def _write_head(figure: Figure, view: View) -> None:
+    """The sample's name, what was drawn of it, and that it is simulated where it is."""
+    kind = "model" if view.is_model else "measurement"
+    head = f"simulated specimen: {view.sample}" if view.simulated else view.sample
+    width = int(_LETTERS_PER_INCH * figure.get_figwidth())
+    lines = textwrap.wrap(head, width, max_lines=2, placeholder=" …")
+    about = " · ".join(filter(None, (kind, view.note)))
+    figure.suptitle(
+        "\n".join((*map(printable, lines), about)),
+        family=families(head),
+        parse_math=False,
+        fontsize=TEXT + 2,
+        color="#a3271f" if view.simulated else INK,
+    )
