@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from raden_torch.brdf.model import CosineDiffuse, Provenance, RadenBrdf
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
 
@@ -43,6 +43,7 @@ def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
     if model.table is not None:
         about["first_deg"] = model.table.first_deg
         about["step_deg"] = model.table.step_deg
+        about["pieces"] = model.table.pieces
     tensors = {
         name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()
     }
@@ -116,6 +117,7 @@ def _assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenB
             tensors["table.values"],
             _three(about["first_deg"]),
             _three(about["step_deg"]),
+            _pieces(about["pieces"]),
         )
     return RadenBrdf(
         diffuse,
@@ -129,3 +131,10 @@ def _assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenB
 def _three(values: list[float]) -> tuple[float, float, float]:
     a, r, t = (float(v) for v in values)
     return a, r, t
+
+
+def _pieces(value: list[list[int]] | None) -> Pieces | None:
+    if value is None:
+        return None
+    a, across, t = (tuple(int(n) for n in cuts) for cuts in value)
+    return a, across, t

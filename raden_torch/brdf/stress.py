@@ -38,7 +38,7 @@ def regions(n: int = 2000, seed: int = 0) -> dict[str, Vectors]:
 
     Distances from a singularity run from 1e-8 to 1e-2, evenly in their logarithm. Two regions are
     worse by nature: "L near V, too near", where float32 cannot tell L from V and the plane between
-    them is noise, and "L near V, not unit", where scaling to unit length rounds L and V apart. There
+    them is noise, and "L near V, not unit", where scaling to unit length rounds them apart. There
     a backend must be finite and within the table's range, not equal to float64.
     """
     make = _Maker(n, torch.Generator().manual_seed(seed))

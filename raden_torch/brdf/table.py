@@ -1,7 +1,16 @@
-"""The measured reflection as a table, read trilinearly (Take 2012, §5.2 and §5.3)."""
+"""The reflection as a table, read trilinearly (Take 2012, §5.2 and §5.3).
+
+Two kinds with one way of reading:
+
+- *plain*, the paper's: one node per measured angle, axes incidence, receiving, tilt;
+- *baked*: a finer table that another interpolation was written into. Its second axis is r − a, so
+  that the mirror ridge runs along the first, and each measured cell is cut into as many pieces as
+  that part of the measurement needs (`pieces`).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import torch
@@ -10,13 +19,18 @@ from torch import Tensor, nn
 from raden_torch.errors import InputError
 from raden_torch.geometry import XYZ_DIM
 
+Pieces = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
+"""Per axis, into how many pieces each measured cell is cut."""
+
 
 class ReflectanceTable(nn.Module):
-    """Total f_r (diffuse and specular) on a regular grid of (incidence, receiving, tilt).
+    """Total f_r (diffuse and specular) over incidence, receiving and tilt.
 
     Attributes:
-        values: `[A, R, T, C]` in 1/sr, a parameter.
-        first_deg, step_deg: the angle of the first node and the distance between nodes, per axis.
+        values: `[X, Y, Z, C]` in 1/sr, a parameter.
+        first_deg, step_deg: the first measured angle and the distance between measured angles, per
+            axis (incidence, receiving, tilt).
+        pieces: None for a plain table; else its second axis is r − a.
     """
 
     def __init__(
@@ -24,11 +38,12 @@ class ReflectanceTable(nn.Module):
         values: Tensor,
         first_deg: tuple[float, float, float],
         step_deg: tuple[float, float, float],
+        pieces: Pieces | None = None,
     ) -> None:
         super().__init__()
         if values.ndim != 4 or min(values.shape[:3]) < 2:
             raise InputError(
-                f"table: shape {list(values.shape)}; [A, R, T, C] with at least two nodes on each "
+                f"table: shape {list(values.shape)}; [X, Y, Z, C] with at least two nodes on each "
                 "axis was wanted"
             )
         if min(step_deg) <= 0:
@@ -36,13 +51,32 @@ class ReflectanceTable(nn.Module):
         self.values = nn.Parameter(values)
         self.first_deg = first_deg
         self.step_deg = step_deg
+        self.pieces = pieces
+        for k, cuts in enumerate(pieces or ()):
+            if 1 + sum(cuts) != values.shape[k] or min(cuts, default=0) < 1:
+                raise InputError(
+                    f"table: {values.shape[k]} nodes on axis {k}; {1 + sum(cuts)} were wanted for "
+                    "its pieces"
+                )
+            self.register_buffer(f"_cuts_{k}", _cuts(cuts), persistent=False)
+        if pieces is not None and len(pieces[1]) <= len(pieces[0]):
+            raise InputError("table: a baked table needs more cells along r − a than along a")
+
+    @property
+    def cells(self) -> tuple[int, int, int]:
+        """Measured cells along incidence, receiving and tilt."""
+        if self.pieces is None:
+            a, r, t = (n - 1 for n in self.values.shape[:3])
+        else:
+            a, across, t = (len(cuts) for cuts in self.pieces)
+            r = across - a
+        return a, r, t
 
     @property
     def last_deg(self) -> tuple[float, float, float]:
-        """The angle of the last node, per axis."""
-        nodes = self.values.shape[:3]
-        axes = zip(self.first_deg, self.step_deg, nodes, strict=True)
-        a, r, t = (first + step * (n - 1) for first, step, n in axes)
+        """The last measured angle, per axis."""
+        axes = zip(self.first_deg, self.step_deg, self.cells, strict=True)
+        a, r, t = (first + step * n for first, step, n in axes)
         return a, r, t
 
     def forward(self, incidence: Tensor, receiving: Tensor, tilt: Tensor) -> tuple[Tensor, Tensor]:
@@ -53,22 +87,29 @@ class ReflectanceTable(nn.Module):
 
         Returns:
             f_r `[..., C, H, W]` in 1/sr, exact at nodes, the nearest edge's value outside the box;
-            and its weight `[..., 1, H, W]`: 1 inside the box, falling linearly to 0 over one grid
-            step outside.
+            and its weight `[..., 1, H, W]`: 1 inside the box, falling linearly to 0 over one
+            measured step outside.
         """
-        position, weight = [], torch.ones_like(incidence)
+        inside, weight = [], torch.ones_like(incidence)
         for angle, first, step, n in zip(
-            (incidence, receiving, tilt),
-            self.first_deg,
-            self.step_deg,
-            self.values.shape[:3],
-            strict=True,
+            (incidence, receiving, tilt), self.first_deg, self.step_deg, self.cells, strict=True
         ):
             x = (torch.rad2deg(angle) - first) / step
-            inside = x.clamp(0, n - 1)
-            weight = weight * (1 - (x - inside).abs()).clamp(min=0)
-            position.append(inside)
-        return trilinear(self.values.to(incidence.dtype), *position), weight
+            within = x.clamp(0, n)
+            weight = weight * (1 - (x - within).abs()).clamp(min=0)
+            inside.append(within)
+        if self.pieces is not None:
+            a, r, t = inside
+            across = r - a + self.cells[0]  # in measured cells from the lowest r − a
+            inside = [self._cut(k, x) for k, x in enumerate((a, across, t))]
+        return trilinear(self.values.to(incidence.dtype), *inside), weight
+
+    def _cut(self, axis: int, x: Tensor) -> Tensor:
+        """Measured cells → nodes: cell i begins at node `start` and is cut into `n` pieces."""
+        cuts: Tensor = getattr(self, f"_cuts_{axis}").to(x.dtype)
+        cell = x.detach().floor().clamp(0, len(cuts) - 1)
+        index = cell.to(torch.int32)
+        return cuts[:, 0][index] + (x - cell) * cuts[:, 1][index]
 
     def extra_repr(self) -> str:
         axes = zip(
@@ -78,9 +119,16 @@ class ReflectanceTable(nn.Module):
             self.step_deg,
             strict=True,
         )
-        return ", ".join(
+        text = ", ".join(
             f"{name} {first:g}…{last:g} by {step:g}" for name, first, last, step in axes
         )
+        return text if self.pieces is None else f"{text}, baked along r − a"
+
+
+def _cuts(pieces: Sequence[int]) -> Tensor:
+    """`[cells, 2]`: the first node of each cell, and its pieces."""
+    n = torch.tensor(pieces, dtype=torch.float32)
+    return torch.stack([n.cumsum(0) - n, n], dim=1)
 
 
 def trilinear(table: Tensor, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
@@ -97,7 +145,7 @@ def trilinear(table: Tensor, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
     rows = table.reshape(-1, channels)
     corner, fraction = [], []
     for position, n in ((x, nx), (y, ny), (z, nz)):
-        low = position.detach().floor().clamp(max=n - 2)
+        low = position.detach().floor().clamp(0, n - 2)
         corner.append(low.to(torch.int32))
         fraction.append(position - low)
     i, j, k = corner

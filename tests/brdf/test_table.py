@@ -72,3 +72,43 @@ def test_wrong_tables_are_refused() -> None:
         ReflectanceTable(torch.ones(1, 2, 2, 3), FIRST, STEP)
     with pytest.raises(InputError, match="positive steps"):
         ReflectanceTable(torch.ones(2, 2, 2, 3), FIRST, (5.0, 0.0, 5.0))
+
+
+PIECES = ((1, 2, 4), (1,) * 4 + (4,) + (2,) * 4, (1, 8) + (1,) * 8)
+
+
+def baked() -> ReflectanceTable:
+    """A baked table of f = 1 + a + 2 r + 3 t (linear, so that reading it is exact)."""
+    first, step = (0.0, -15.0, -20.0), (5.0, 5.0, 4.0)
+    axes = [
+        np.concatenate([[0.0], *(i + np.arange(1, n + 1) / n for i, n in enumerate(cuts))])
+        for cuts in PIECES
+    ]
+    a, across, t = np.meshgrid(*axes, indexing="ij")
+    a, d, t = a * 5, across * 5 + (-15.0 - 15.0), t * 4 - 20
+    values = torch.from_numpy(1 + a + 2 * (a + d) + 3 * t)[..., None].expand(-1, -1, -1, 3)
+    return ReflectanceTable(values.clone(), first, step, PIECES)
+
+
+def test_a_baked_table_is_read_along_the_ridge(dtype: torch.dtype, tolerance: float) -> None:
+    table = baked().to(dtype)
+    assert table.cells == (3, 6, 10)
+    assert table.last_deg == (15.0, 15.0, 20.0)
+    points = np.random.default_rng(3).random((2000, 3)) * [15, 30, 40] - [0, 15, 20]
+    value, weight = table(*radians(points, dtype))
+    expected = 1 + points @ [1.0, 2.0, 3.0]
+    assert value[0, :, 0].detach().double().numpy() == pytest.approx(expected, abs=300 * tolerance)
+    assert (weight == 1).all()
+    outside = np.array([[17.5, 15.0, 0.0], [15.0, 17.5, 0.0], [15.0, -17.5, 0.0], [5.0, 0, 24.0]])
+    value, weight = table(*radians(outside, dtype))
+    assert weight.flatten().tolist() == pytest.approx([0.5, 0.5, 0.5, 0.0], abs=1e-5)
+    edge = 1 + np.clip(outside, [0, -15, -20], [15, 15, 20]) @ [1.0, 2.0, 3.0]
+    assert value[0, :, 0].detach().numpy() == pytest.approx(edge, abs=300 * tolerance)
+
+
+def test_wrong_pieces_are_refused() -> None:
+    values = torch.ones(3, 4, 5, 3)
+    with pytest.raises(InputError, match="3 nodes on axis 0; 4 were wanted"):
+        ReflectanceTable(values, FIRST, STEP, ((1, 2), (1, 1, 1), (1, 1, 1, 1)))
+    with pytest.raises(InputError, match="more cells along"):
+        ReflectanceTable(torch.ones(3, 3, 5, 3), FIRST, STEP, ((1, 1), (1, 1), (1, 1, 1, 1)))
