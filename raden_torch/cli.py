@@ -62,6 +62,13 @@ def fit(
     diffuse_exponent: Annotated[
         str | None, typer.Option(help="n per channel, by hand, as 1,1,1")
     ] = None,
+    interpolation: Annotated[
+        str,
+        typer.Option(help="between nodes: auto, trilinear (the paper), log, ridge, cubic, lobes"),
+    ] = "auto",
+    validation: Annotated[
+        Path | None, typer.Option(help="readings off the grid to choose the interpolation by")
+    ] = None,
 ) -> None:
     """Fit a model to a measurement and report how well."""
     from raden_torch.capture.importers import load_measurement
@@ -71,6 +78,7 @@ def fit(
         raise InputError("--diffuse-scale and --diffuse-exponent go together; give both or neither")
     with _working(f"reading {measurement.name}"):
         loaded = load_measurement(measurement)
+        off_grid = None if validation is None else load_measurement(validation)
     with _working("fitting"):
         from raden_torch.brdf.diffuse_fit import DiffuseParameters
         from raden_torch.brdf.fit import fit as fit_model
@@ -82,7 +90,9 @@ def fit(
                 _triple("--diffuse-scale", diffuse_scale),
                 _triple("--diffuse-exponent", diffuse_exponent),
             )
-        result = fit_model(loaded, diffuse=by_hand)
+        result = fit_model(
+            loaded, diffuse=by_hand, interpolation=interpolation, validation=off_grid
+        )
         save_model(result.model, output)
     print(f"{loaded!r}\n{result.report}\nwrote {output}")
 
@@ -145,7 +155,7 @@ def plot(
 def render(
     model: ModelFile,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="the .png or .jpg to write")
+        Path, typer.Option("--output", "-o", help="the .png, .jpg or (linear) .exr to write")
     ] = Path("render.png"),
     shape: Annotated[
         str, typer.Option(help="what to show: sphere, or plate (black urushi with a motif)")
@@ -158,12 +168,22 @@ def render(
     size: Annotated[int, typer.Option(help="width and height in pixels")] = 512,
     samples: Annotated[int, typer.Option(help="rays per pixel along each side")] = 2,
     exposure: Annotated[str, typer.Option(help="stops, or auto")] = "auto",
+    gbuffer: Annotated[
+        Path | None, typer.Option(help="an EXR with normals or depth to light, instead of a shape")
+    ] = None,
+    channel: Annotated[
+        list[str] | None, typer.Option(help="of the EXR, as normal=N or depth=Z; may be repeated")
+    ] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="horizontal field of view of the EXR's camera, degrees")
+    ] = None,
+    smooth: Annotated[float, typer.Option(help="smooth the EXR's depth by so many pixels")] = 0.0,
 ) -> None:
-    """Light a shape with a model."""
-    from raden_torch.brdf.display import check_picture_path
-    from raden_torch.pictures import render_shape, save_picture
+    """Light a shape, or an EXR G-buffer, with a model."""
+    from raden_torch.brdf.display import PICTURE_SUFFIXES, check_picture_path
+    from raden_torch.pictures import render_gbuffer, render_shape, save_picture
 
-    check_picture_path(output)
+    check_picture_path(output, (*PICTURE_SUFFIXES, ".exr"))
     lights = [_light(text) for text in light or ()]
     eye = None if camera is None else _triple("--camera", camera)
     stops = _stops(exposure)
@@ -171,7 +191,13 @@ def render(
         from raden_torch.brdf.model_file import load_model
 
         loaded = load_model(model)
-        image = render_shape(loaded, shape, lights, camera=eye, size=size, samples=samples)
+        if gbuffer is None:
+            image = render_shape(loaded, shape, lights, camera=eye, size=size, samples=samples)
+        else:
+            named = dict(_pair("--channel", text) for text in channel or ())
+            image = render_gbuffer(
+                loaded, gbuffer, lights, channels=named, fov_deg=fov, smooth_px=smooth
+            )
         used = save_picture(image, output, loaded, exposure_ev=stops)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
 
@@ -182,7 +208,9 @@ def render(
 )
 def relight(
     photos: Annotated[list[Path], typer.Argument(help="photographs of one size, or one")],
-    normals: Annotated[Path, typer.Option(help="normal map: PNG (8 or 16 bits), TIFF or EXR")],
+    normals: Annotated[
+        Path, typer.Option(help="normal map: PNG (8 or 16 bits), TIFF; EXR, also with depth")
+    ],
     model: Annotated[Path, typer.Option(help="a model that `raden fit` wrote")],
     output: Annotated[
         Path, typer.Option("--output", "-o", help="the image to write; a folder for several")
@@ -195,6 +223,9 @@ def relight(
     ] = None,
     strip: Annotated[
         int | None, typer.Option(help="instead: this many lamps in a ring, side by side")
+    ] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="of an EXR with depth instead of normals, degrees")
     ] = None,
     elevation: Annotated[
         float, typer.Option(help="of the ring of lamps above the picture, degrees")
@@ -221,6 +252,7 @@ def relight(
             lights=[_light(text) for text in light or ["1,1,2"]],
             strip=strip,
             elevation_deg=elevation,
+            fov_deg=fov,
             green=green.value,
             exposure_ev=_stops(exposure),
         )
@@ -272,6 +304,13 @@ def _triple(option: str, text: str) -> tuple[float, float, float]:
     except ValueError:
         raise InputError(f"{option} {text}: three numbers as 1,1,2 were wanted") from None
     return x, y, z
+
+
+def _pair(option: str, text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise InputError(f"{option} {text}: name=value, as normal=N, was wanted")
+    return name, value
 
 
 def _stops(text: str) -> float | None:

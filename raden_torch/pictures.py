@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from raden_torch.brdf.display import auto_exposure_ev, to_display, write_picture
+from raden_torch.brdf.gbuffer_file import read_gbuffer, write_image
 from raden_torch.brdf.image_file import (
     Green,
     read_mask,
@@ -72,6 +73,21 @@ def render_shape(
         return average_samples(image, samples)
 
 
+def render_gbuffer(
+    model: RadenBrdf,
+    path: Path,
+    lights: Sequence[Light] | None = None,
+    *,
+    channels: dict[str, str] | None = None,
+    fov_deg: float | None = None,
+    smooth_px: float = 0.0,
+) -> Tensor:
+    """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `gbuffer_file.read_gbuffer`."""
+    gbuffer = read_gbuffer(path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px)
+    with torch.no_grad():
+        return shade(model, gbuffer, lights or SHAPES["sphere"].lights)
+
+
 def save_picture(
     image: Tensor,
     path: str | os.PathLike[str],
@@ -81,9 +97,14 @@ def save_picture(
 ) -> float:
     """Write a scene-linear image `[1, 3, H, W]`; a simulated specimen is named in the picture.
 
+    An EXR keeps the scene-linear values as they are.
+
     Returns:
         The exposure in stops: what was asked for, or what was chosen where None.
     """
+    if Path(path).suffix.lower() == ".exr":
+        write_image(image * 2.0 ** (exposure_ev or 0.0), path)
+        return exposure_ev or 0.0
     stops = auto_exposure_ev(image) if exposure_ev is None else exposure_ev
     write_picture(to_display(image, stops)[0], path, caption_of(model))
     return stops
@@ -107,6 +128,7 @@ def relight_files(
     strip: int | None = None,
     elevation_deg: float = 40.0,
     green: Green = "opengl",
+    fov_deg: float | None = None,
     exposure_ev: float | None = None,
 ) -> list[Path]:
     """Relight photographs that share a normal map and a mask; returns the files written.
@@ -115,11 +137,12 @@ def relight_files(
         output: the image to write, or a folder (made where missing) for several photographs.
         strip: this many lamps in a ring, side by side, instead of `lights`.
         elevation_deg: the ring's angle above the picture's plane.
+        fov_deg: of an EXR that holds depth instead of normals.
         exposure_ev: stops; where None the masked part keeps its mean luminance.
     """
     targets = _targets(photos, output)
     loaded = load_model(model)
-    normal = read_normal_map(normals, green)
+    normal = read_normal_map(normals, green, fov_deg=fov_deg)
     coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
     gain = None if exposure_ev is None else 2.0**exposure_ev
     for path, target in zip(photos, targets, strict=True):

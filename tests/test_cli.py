@@ -110,6 +110,29 @@ def test_render_plate_plot_and_relight(shell: Path) -> None:
 
 
 @pytest.mark.slow
+def test_exr_gbuffers(shell: Path, shared: Path) -> None:
+    model, folder = shell / "shell.safetensors", shared / "data/gbuffer"
+    done = raden("render", model, "--gbuffer", folder / "normals.exr", "-o", shell / "box.exr")
+    assert done.returncode == 0, done.stderr
+    from raden_torch.brdf.gbuffer_file import read_colour
+
+    assert read_colour(shell / "box.exr").shape == (1, 3, 64, 64)
+    ball = folder / "singlepart.0001.exr"
+    done = raden(
+        *("relight", ball, "--normals", ball, "--fov", 54, "--model", model),
+        *("--light", "1,1,1", "-o", shell / "ball.exr"),
+        warn="default",
+    )
+    assert done.returncode == 0, done.stderr
+    before, after = read_colour(ball), read_colour(shell / "ball.exr")
+    assert before.shape == after.shape
+    assert (after - before).abs().max() > 0.1
+    done = raden("render", model, "--gbuffer", folder / "albedo.exr", "-o", shell / "no.png")
+    assert done.returncode == 2
+    assert "channels B, G, R" in done.stderr
+
+
+@pytest.mark.slow
 def test_demo_makes_a_gallery(tmp_path: Path) -> None:
     done = raden("demo", "--out", tmp_path / "gallery", "--size", 128)
     assert done.returncode == 0, done.stderr

@@ -37,11 +37,13 @@ def auto_exposure_ev(image: Tensor, white: float = 0.9, share: float = 0.995) ->
     return float(np.log2(white / level))
 
 
-def check_picture_path(path: str | os.PathLike[str]) -> None:
+def check_picture_path(
+    path: str | os.PathLike[str], suffixes: tuple[str, ...] = PICTURE_SUFFIXES
+) -> None:
     """Raise InputError where a picture could not be written, so before the work is done."""
     path = Path(path)
-    if path.suffix.lower() not in PICTURE_SUFFIXES:
-        wanted = ", ".join(PICTURE_SUFFIXES)
+    if path.suffix.lower() not in suffixes:
+        wanted = ", ".join(suffixes)
         raise InputError(f"{path}: suffix {path.suffix or '(none)'}; one of {wanted} was wanted")
     check_writable(path)
 

@@ -9,9 +9,9 @@ import torch
 
 from raden_torch.brdf.diffuse_fit import DiffuseParameters, fit_diffuse
 from raden_torch.brdf.fit_report import FitReport, make_report
+from raden_torch.brdf.interpolated_table import choose_interpolation, make_table
 from raden_torch.brdf.model import CosineDiffuse, Provenance, RadenBrdf
-from raden_torch.brdf.table import ReflectanceTable
-from raden_torch.brdf.tabulate import Tabulated, tabulate
+from raden_torch.brdf.tabulate import Floats, Tabulated, tabulate
 from raden_torch.measurement import BrdfMeasurement
 
 
@@ -23,7 +23,13 @@ class FitResult:
     report: FitReport
 
 
-def fit(measurement: BrdfMeasurement, *, diffuse: DiffuseParameters | None = None) -> FitResult:
+def fit(
+    measurement: BrdfMeasurement,
+    *,
+    diffuse: DiffuseParameters | None = None,
+    interpolation: str = "auto",
+    validation: BrdfMeasurement | None = None,
+) -> FitResult:
     """Fit the model of Take (2012) to a measurement.
 
     Args:
@@ -31,17 +37,25 @@ def fit(measurement: BrdfMeasurement, *, diffuse: DiffuseParameters | None = Non
             scattered readings, which are regularised onto a 5 degree table. Bands that make no
             colour give a grey model.
         diffuse: the diffuse parameters, set by hand as in the paper; fitted where None.
+        interpolation: what lies between the nodes: "trilinear" (the paper), another of
+            `interpolation.SCHEMES`, or "auto": the one that a hold-out, or `validation`, prefers.
+        validation: readings off the grid to choose by, at least 200.
 
     Returns:
         The model (float32, on the CPU) and a report.
 
     Raises:
-        InputError: fewer than two values on an axis, no valid reading, or a table too large.
+        InputError: fewer than two values on an axis, no valid reading, a table too large; an
+            interpolation that is not known or that the grid does not support; validation readings
+            that are too few or outside the box.
     """
     table = tabulate(measurement)
     parameters = diffuse or fit_diffuse(table.reading_angles, table.readings)
-    model = _assemble(table, parameters)
-    report = make_report(measurement, table, model, parameters, fitted=diffuse is None)
+    part = _diffuse_part(parameters)
+    total = _without_gaps(table, part)
+    chosen = choose_interpolation(table, total, interpolation, validation)
+    model = RadenBrdf(part, make_table(table, total, chosen.scheme))
+    report = make_report(measurement, table, model, parameters, chosen, fitted=diffuse is None)
     meta = measurement.metadata
     model.provenance = Provenance(
         meta.sample, meta.instrument, meta.simulated, measurement.sha256, report.as_dict()
@@ -49,19 +63,16 @@ def fit(measurement: BrdfMeasurement, *, diffuse: DiffuseParameters | None = Non
     return FitResult(model, report)
 
 
-def _assemble(tabulated: Tabulated, parameters: DiffuseParameters) -> RadenBrdf:
-    diffuse = CosineDiffuse(
-        *(torch.tensor(v, dtype=torch.float32) for v in (parameters.scale, parameters.exponent))
+def _diffuse_part(parameters: DiffuseParameters) -> CosineDiffuse:
+    scale, exponent = (
+        torch.tensor(v, dtype=torch.float32) for v in (parameters.scale, parameters.exponent)
     )
-    a, r, t = tabulated.axes_deg
-    angles = np.meshgrid(*map(np.deg2rad, (a, r, t)), indexing="ij")
+    return CosineDiffuse(scale, exponent)
+
+
+def _without_gaps(table: Tabulated, diffuse: CosineDiffuse) -> Floats:
+    """`[A, R, T, 3]` f_r; nodes without a measured neighbour take the diffuse part."""
+    angles = np.meshgrid(*map(np.deg2rad, table.axes_deg), indexing="ij")
     with torch.no_grad():
         part = diffuse(*(torch.from_numpy(angle)[:, None] for angle in angles))  # [A, 3, R, T]
-    part_at_nodes = part.movedim(1, -1).numpy()
-    total = np.where(np.isnan(tabulated.values), part_at_nodes, tabulated.values)
-    table = ReflectanceTable(
-        torch.from_numpy(total).float(),
-        first_deg=(float(a[0]), float(r[0]), float(t[0])),
-        step_deg=(float(a[1] - a[0]), float(r[1] - r[0]), float(t[1] - t[0])),
-    )
-    return RadenBrdf(diffuse, table)
+    return np.where(np.isnan(table.values), part.movedim(1, -1).numpy(), table.values)

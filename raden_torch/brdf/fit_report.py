@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from raden_torch.brdf.diffuse_fit import EXPONENT_BOUNDS, DiffuseParameters
+from raden_torch.brdf.interpolated_table import Choice
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.tabulate import Floats, Tabulated
 from raden_torch.measurement import BrdfMeasurement
@@ -31,6 +32,7 @@ class FitReport:
             the readings, all in the channel mean; on a grid it is 0 but where `fit` averaged.
         diffuse_scale, diffuse_exponent: S (1/sr) and n per channel.
         diffuse_share: the diffuse part's share of the sum of all readings.
+        interpolation, interpolation_why, interpolation_losses: see `interpolated_table.Choice`.
         warnings: one sentence each.
     """
 
@@ -48,6 +50,9 @@ class FitReport:
     diffuse_scale: tuple[float, float, float]
     diffuse_exponent: tuple[float, float, float]
     diffuse_share: float
+    interpolation: str
+    interpolation_why: str
+    interpolation_losses: dict[str, float]
     warnings: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -69,6 +74,11 @@ class FitReport:
             f"(R, G, B); {_percent(self.diffuse_share)} of all that was measured",
             f"residual at the readings: {self.reading_rms:.2e} of the 99.9 % quantile (RMS)",
         ]
+        compared = ", ".join(f"{k} {v:.2f}" for k, v in self.interpolation_losses.items())
+        lines.append(
+            f"between the nodes: {self.interpolation}, {self.interpolation_why}"
+            + (f" (loss: {compared})" if compared else "")
+        )
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
 
 
@@ -77,6 +87,7 @@ def make_report(
     table: Tabulated,
     model: RadenBrdf,
     parameters: DiffuseParameters,
+    chosen: Choice,
     *,
     fitted: bool,
 ) -> FitReport:
@@ -104,6 +115,9 @@ def make_report(
         diffuse_scale=parameters.scale,
         diffuse_exponent=parameters.exponent,
         diffuse_share=float(diffuse_only.sum() / total) if total > 0 else float("nan"),
+        interpolation=chosen.scheme,
+        interpolation_why=chosen.why,
+        interpolation_losses=chosen.losses,
         warnings=(*table.warnings, *_warnings(measurement, table, parameters, fitted)),
     )
 

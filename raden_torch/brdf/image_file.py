@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.brdf.display import draw_caption, write_encoded
+from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.errors import InputError
 
 Green = Literal["opengl", "directx"]
 
 MAX_PIXELS = 500_000_000
-_FLOAT_SUFFIXES = (".hdr", ".tif", ".tiff")
+_FLOAT_SUFFIXES = (".exr", ".hdr", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,13 @@ class Photograph:
 
 
 def read_photograph(path: str | os.PathLike[str]) -> Photograph:
-    """Read an 8- or 16-bit PNG, JPEG or TIFF (sRGB), or a float TIFF or HDR (linear).
+    """Read an 8- or 16-bit PNG, JPEG or TIFF (sRGB), or a float TIFF, HDR or EXR (linear).
 
     Raises:
         InputError: missing, not an image, or too large.
     """
+    if Path(path).suffix.lower() == ".exr":
+        return Photograph(_exr_colour(path), None)
     from kornia.color import rgb_to_linear_rgb
 
     pixels = _decoded(path, colour=True)
@@ -83,13 +86,30 @@ def write_photograph(
         pixels = np.rint(shown[0].movedim(0, -1).numpy() * levels).astype(
             np.uint8 if levels == 255 else np.uint16
         )
+    if suffix == ".exr":
+        from raden_torch.brdf.gbuffer_file import write_image
+
+        write_image(photo.linear, path)
+        return
     bgr = np.ascontiguousarray(pixels[..., ::-1])
     if caption and photo.levels is not None:
         draw_caption(bgr, caption)
     write_encoded(bgr, path)
 
 
-def read_normal_map(path: str | os.PathLike[str], green: Green = "opengl") -> Tensor:
+def _exr_colour(path: str | os.PathLike[str]) -> Tensor:
+    from raden_torch.brdf.exr import list_channels
+    from raden_torch.brdf.gbuffer_file import read_colour
+
+    colour = read_colour(path)
+    if colour is None:
+        raise InputError(f"{path}: no R, G, B; it has {', '.join(list_channels(path))}")
+    return colour
+
+
+def read_normal_map(
+    path: str | os.PathLike[str], green: Green = "opengl", *, fov_deg: float | None = None
+) -> Tensor:
     """Read a normal map, x right, y up, z to the viewer.
 
     Whole-number files hold (n + 1)/2; float files hold n itself, or (n + 1)/2 where nothing in them
@@ -97,6 +117,7 @@ def read_normal_map(path: str | os.PathLike[str], green: Green = "opengl") -> Te
 
     Args:
         green: "opengl" where green points up, "directx" where it points down.
+        fov_deg: horizontal field of view of an EXR that holds depth instead of normals.
 
     Returns:
         `[1, 3, H, W]` unit normals, zero where there is none.
@@ -109,7 +130,7 @@ def read_normal_map(path: str | os.PathLike[str], green: Green = "opengl") -> Te
     if Path(path).suffix.lower() == ".exr":
         from raden_torch.brdf.gbuffer_file import read_gbuffer
 
-        normal = read_gbuffer(path).normal
+        normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg))
     else:
         pixels = _decoded(path, colour=False)
         if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
@@ -126,6 +147,12 @@ def read_normal_map(path: str | os.PathLike[str], green: Green = "opengl") -> Te
     if green == "directx":
         normal = normal * normal.new_tensor([1.0, -1.0, 1.0]).view(3, 1, 1)
     return torch.nn.functional.normalize(normal, dim=1)
+
+
+def _masked_normals(gbuffer: GBuffer) -> Tensor:
+    if gbuffer.mask is None:
+        return gbuffer.normal
+    return torch.where(gbuffer.mask > 0, gbuffer.normal, torch.zeros_like(gbuffer.normal))
 
 
 def decoded_normals(coded: Tensor, levels: int | None) -> Tensor:

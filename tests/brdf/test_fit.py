@@ -22,7 +22,7 @@ MATERIALS = ["pearl-paint", "color-changing-paint1", "spectralon_rgb"]
 
 def test_grid_nodes_come_back(analytic) -> None:
     m = analytic()
-    result = rt.fit(m)
+    result = rt.fit(m, interpolation="trilinear")
     assert reflectance_factors(result.model, m) == pytest.approx(m.as_rgb().values, rel=2e-7)
     assert result.report.measured == result.report.cells == 12615
     assert result.report.reading_rms < 1e-7
@@ -34,7 +34,7 @@ def test_nodes_come_back_through_float32_vectors(shared: Path, name: str) -> Non
     float32 digit moves a reading beside a peak by that peak's slope."""
     m = rt.load_measurement(shared / f"data/measured_brdf/{name}.csv")
     m = m.select(m.receiving_deg != -m.incidence_deg)
-    model = rt.fit(m).model
+    model = rt.fit(m, interpolation="trilinear").model
     angles = [
         torch.from_numpy(np.deg2rad(column))[None, :, None]
         for column in (m.incidence_deg, m.receiving_deg, m.tilt_deg)
@@ -64,7 +64,7 @@ def test_off_the_grid_no_worse_than_interpolating_the_total(shared: Path, name: 
     folder = shared / "data/measured_brdf"
     m = rt.load_measurement(folder / f"{name}.csv")
     off = rt.load_measurement(folder / f"{name}.offgrid.csv")
-    found = score(rt.fit(m).model, off)
+    found = score(rt.fit(m, interpolation="trilinear").model, off)
     grid = m.grid()
     points = np.stack([off.incidence_deg, off.receiving_deg, off.tilt_deg], axis=1)
     total = RegularGridInterpolator(grid.axes_deg, grid.values[..., 1])(points)
@@ -78,7 +78,7 @@ def test_off_the_grid_no_worse_than_interpolating_the_total(shared: Path, name: 
 def test_spectralon_stays_matt(shared: Path) -> None:
     """Within 12 % of a Lambertian albedo of 0.94, light and view within 60° of the normal."""
     m = rt.load_measurement(shared / "data/measured_brdf/spectralon_rgb.csv")
-    model = rt.fit(m).model
+    model = rt.fit(m, interpolation="trilinear").model
     generator = torch.Generator().manual_seed(0)
     v = torch.nn.functional.normalize(torch.randn(3, 1, 3, 20_000, 1, generator=generator), dim=2)
     normal, light, view = v
@@ -92,7 +92,7 @@ def test_spectralon_stays_matt(shared: Path) -> None:
 
 def test_hand_set_diffuse_parameters_are_kept(analytic) -> None:
     by_hand = DiffuseParameters((0.1, 0.2, 0.3), (0.02, 1.0, 30.0))
-    result = rt.fit(analytic(), diffuse=by_hand)
+    result = rt.fit(analytic(), diffuse=by_hand, interpolation="trilinear")
     assert result.model.diffuse.scale.tolist() == pytest.approx(by_hand.scale)
     assert result.report.diffuse_exponent == by_hand.exponent
     assert not any("bound" in w for w in result.report.warnings)
@@ -108,7 +108,7 @@ def test_report_says_what_happened(analytic) -> None:
     values = m.values.copy()
     values[5, 0] = -0.5
     hidden = (m.incidence_deg == 30) & (m.receiving_deg == -35)
-    report = rt.fit(replace(m, values=values, valid=~hidden)).report
+    report = rt.fit(replace(m, values=values, valid=~hidden), interpolation="trilinear").report
     text = str(report)
     assert report.from_neighbours == 29
     assert "29 from measured neighbours" in text
@@ -119,7 +119,7 @@ def test_report_says_what_happened(analytic) -> None:
 
 
 def test_reciprocity_of_an_analytic_specimen_holds(analytic) -> None:
-    report = rt.fit(analytic()).report
+    report = rt.fit(analytic(), interpolation="trilinear").report
     assert report.reciprocity_worst < 1e-12
 
 
@@ -130,24 +130,26 @@ def test_one_plane_only_is_refused(analytic, axis: str, words: str) -> None:
     m = analytic()
     plane = m.select(getattr(m, f"{axis}_deg") == float(words))
     with pytest.raises(InputError, match=rf"{axis} has one value only \({words} deg\)"):
-        rt.fit(plane)
+        rt.fit(plane, interpolation="trilinear")
 
 
 def test_uneven_axes_get_their_common_step(analytic) -> None:
     m = analytic()
     kept = np.isin(m.incidence_deg, [0, 10, 30, 40, 70])
-    result = rt.fit(m.select(kept))
+    result = rt.fit(m.select(kept), interpolation="trilinear")
     assert result.model.table.step_deg == (10.0, 5.0, 5.0)
     assert result.report.from_neighbours + result.report.from_equivalent == 3 * 29 * 29
     assert score(result.model, m).rms < 0.02
     odd = m.select(np.isin(m.incidence_deg, [0, 10]))
     shifted = replace(odd, incidence_deg=np.where(odd.incidence_deg == 10, 10.0123, 0.0))
-    assert rt.fit(shifted).model.table.step_deg[0] == pytest.approx(10.0123)
+    assert rt.fit(shifted, interpolation="trilinear").model.table.step_deg[0] == pytest.approx(
+        10.0123
+    )
     third = m.select(np.isin(m.incidence_deg, [0, 10, 20]))
     uneven = replace(
         third, incidence_deg=np.where(third.incidence_deg == 10, 10.0123, third.incidence_deg)
     )
-    result = rt.fit(uneven)
+    result = rt.fit(uneven, interpolation="trilinear")
     assert result.report.scattered
     assert score(result.model, m.select(m.incidence_deg <= 20)).rms < 0.02
 
@@ -158,7 +160,7 @@ def test_scattered_readings_are_regularised(shared: Path, name: str) -> None:
     folder = shared / "data/measured_brdf"
     scattered = rt.load_measurement(folder / f"{name}.offgrid.csv")
     half = np.arange(len(scattered)) < 10_000
-    result = rt.fit(scattered.select(half))
+    result = rt.fit(scattered.select(half), interpolation="trilinear")
     assert result.report.scattered
     assert result.report.cells == 12615
     assert result.report.measured > 6000
@@ -185,7 +187,7 @@ def test_scattered_readings_cover_what_they_cover(analytic) -> None:
         np.concatenate([values, far.values]),
         azimuth_deg=np.append(np.zeros(600), [0, 90]),
     )
-    report = rt.fit(both).report
+    report = rt.fit(both, interpolation="trilinear").report
     assert report.measured + report.from_neighbours + report.from_diffuse == report.cells
     assert 100 < report.measured < 250
     assert report.from_diffuse > report.cells // 2
@@ -196,7 +198,7 @@ def test_scattered_readings_cover_what_they_cover(analytic) -> None:
 def test_bands_without_a_colour_make_a_grey_model(analytic) -> None:
     m = analytic()
     grey = replace(m, values=m.values[:, 1:2], channels=("650nm",))
-    result = rt.fit(grey)
+    result = rt.fit(grey, interpolation="trilinear")
     assert any("the model is grey" in w for w in result.report.warnings)
     factors = reflectance_factors(result.model, m)
     assert factors == pytest.approx(np.repeat(m.values[:, 1:2], 3, axis=1), rel=1e-6)
@@ -206,7 +208,7 @@ def test_a_real_goniometers_readings(shared: Path) -> None:
     """RT-300S: four incidences, one band, 19 azimuths of the sample."""
     name = "ANOPLATE_AnoBlack_EC1_Alum6061_v1o0_20251115.xls"
     m = rt.load_measurement(shared / "data/goniometer_rt300s" / name)
-    report = rt.fit(m).report
+    report = rt.fit(m, interpolation="trilinear").report
     assert report.scattered
     assert 1490 < report.measured < 1700  # receiving goes on to 80 here
     assert report.from_diffuse > 0
@@ -217,7 +219,10 @@ def test_a_real_goniometers_readings(shared: Path) -> None:
 
 def test_model_is_deterministic_and_its_provenance_is_kept(analytic) -> None:
     m: BrdfMeasurement = analytic()
-    one, two = rt.fit(m).model, rt.fit(m).model
+    one, two = (
+        rt.fit(m, interpolation="trilinear").model,
+        rt.fit(m, interpolation="trilinear").model,
+    )
     assert torch.equal(one.table.values, two.table.values)
     assert one.provenance.simulated
     assert one.provenance.measurement_sha256 == m.sha256

@@ -87,7 +87,7 @@ def test_lacquer_is_reciprocal_and_loses_energy(random_vectors) -> None:
 
 
 def test_the_colour_travels_over_the_plate_and_the_highlight_is_where_it_should_be() -> None:
-    model = rt.fit(rt.simulate_specimen("yakogai")).model
+    model = rt.fit(rt.simulate_specimen("yakogai"), interpolation="trilinear").model
     made = plate(128, samples=1)
     lamp = (-0.5, 1.0, 3.0)
     with torch.no_grad():

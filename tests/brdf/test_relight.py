@@ -204,7 +204,7 @@ def test_a_real_photograph_is_relit(shared: Path, analytic) -> None:
     y, x = torch.meshgrid(torch.arange(h), torch.arange(w), indexing="ij")
     x, y = (x - x0) / radius, (y0 - y) / radius
     normal = torch.stack([x, y, (1 - x * x - y * y).clamp(min=0).sqrt()])[None] * mask
-    model = rt.fit(analytic()).model
+    model = rt.fit(analytic(), interpolation="trilinear").model
     before = read_photograph(folder / "gray.0.png").linear
     with torch.no_grad():
         after = relight(model, before, normal, mask, [rt.DirectionalLight((-1, 0.5, 1))])

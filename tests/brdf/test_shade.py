@@ -76,7 +76,7 @@ def test_spot_light_has_a_cone(lambertian) -> None:
 
 
 def test_camera_and_position_make_the_view(random_vectors, analytic) -> None:
-    model = rt.fit(analytic()).model
+    model = rt.fit(analytic(), interpolation="trilinear").model
     position = plane_positions()
     seen = rt.GBuffer(normal=flat().normal, position=position, camera=(1.0, 1.0, 3.0))
     view = torch.tensor([1.0, 1, 3], dtype=torch.float64).view(1, 3, 1, 1) - position

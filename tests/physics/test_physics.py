@@ -12,7 +12,7 @@ import raden_torch as rt
 
 @pytest.fixture(scope="module")
 def shell() -> rt.RadenBrdf:
-    return rt.fit(rt.simulate_specimen("yakogai")).model
+    return rt.fit(rt.simulate_specimen("yakogai"), interpolation="trilinear").model
 
 
 def directions(n: int, seed: int) -> torch.Tensor:
@@ -72,7 +72,7 @@ def test_no_more_light_leaves_than_came(shell: rt.RadenBrdf) -> None:
 
 def test_a_lambertian_sample_returns_its_own_reflectance(analytic) -> None:
     """Body only: f_r = ρ/π inside the box, in every direction."""
-    model = rt.fit(analytic(body=50.0, peak=0.0)).model
+    model = rt.fit(analytic(body=50.0, peak=0.0), interpolation="trilinear").model
     light, view = directions(20_000, 10), directions(20_000, 11)
     use = ((light[:, 2:] > 0.5) & (view[:, 2:] > 0.5)).expand(1, 3, -1, 1)
     # X = Y = Z = 50 is not white: the colour follows the matrix

@@ -1,0 +1,302 @@
+"""OpenEXR files as named channels: reading and writing, single- and multi-part.
+
+Pixels come as float32, `[H, W]` of the *display* window: where the data window is smaller, the rest
+is 0; what lies outside the display window is cut off. So all parts of a file have one size. Whole
+numbers above 2²⁴ (object ids) lose their last digits. Of a tiled file the largest level is read.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from io import StringIO
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from raden_torch.errors import InputError
+from raden_torch.files import written_beside
+
+MAX_PIXELS = 2**26
+"""The largest window that is read or written, in pixels (8192 x 8192)."""
+MAX_VALUES = 2**29
+"""The most values that are read from one file, pixels times channels (2 GiB as float32)."""
+
+Parts = dict[str, dict[str, NDArray[np.float32]]]
+
+_MAGIC = b"\x76\x2f\x31\x01"
+_MULTI_PART = 0x10  # in the second byte of the version field
+
+
+def read_channels(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
+    """Every channel of every part, `[H, W]`, by the names that `list_channels` gives.
+
+    Raises:
+        InputError: as for `read_parts`.
+    """
+    parts = read_parts(path)
+    return {key: parts[part][name] for key, part, name in channel_keys(parts)}
+
+
+def list_channels(path: str | os.PathLike[str]) -> list[str]:
+    """The names of the channels, from the header alone.
+
+    A name is as in the file. In a multi-part file, "part.name" for each channel of a part that
+    shares a name with another part.
+
+    Raises:
+        InputError: as for `read_parts`, the pixels aside.
+    """
+    header = {name: _channel_names(header) for name, header in _headers(path).items()}
+    return [key for key, _, _ in channel_keys(header)]
+
+
+def read_parts(path: str | os.PathLike[str]) -> Parts:
+    """`{part: {channel: [H, W]}}`; the part of a single-part file may be called "".
+
+    Raises:
+        InputError: not an OpenEXR file, truncated or damaged; deep or subsampled; more pixels than
+            `MAX_PIXELS` or more values than `MAX_VALUES` (found before the memory is taken).
+    """
+    expected = _headers(path)
+    file, said = _open(path, header_only=False)
+    if len(file.parts) != len(expected):
+        reason = said.splitlines()[0].rpartition(" - ")[2] if said else "pixels are missing"
+        raise InputError(
+            f"{path}: truncated or damaged ({reason}); a whole OpenEXR file was wanted"
+        )
+    return {
+        name: {c: _placed(channel.pixels, part.header) for c, channel in part.channels.items()}
+        for name, part in zip(expected, file.parts, strict=True)
+    }
+
+
+def channel_keys(parts: Mapping[str, Mapping[str, Any]]) -> list[tuple[str, str, str]]:
+    """(key, part, channel) of all channels: the key as `list_channels` describes it."""
+    owners = Counter(channel for channels in parts.values() for channel in channels)
+    keys = []
+    for part, channels in parts.items():
+        shared = any(owners[channel] > 1 for channel in channels)
+        keys += [(f"{part}.{c}" if shared else c, part, c) for c in channels]
+    return keys
+
+
+def write_channels(
+    path: str | os.PathLike[str], channels: Mapping[str, ArrayLike], *, half: bool = False
+) -> None:
+    """Write a single-part file.
+
+    Args:
+        channels: `{name: [H, W]}`, all of one size.
+        half: 16-bit floats (11 bits of precision; infinite beyond 65504) instead of 32-bit ones.
+
+    Raises:
+        InputError: arrays that are not `[H, W]` or differ in size, a name that OpenEXR cannot hold,
+            a folder that does not exist.
+    """
+    write_parts(path, {"": channels}, half=half)
+
+
+def write_parts(
+    path: str | os.PathLike[str],
+    parts: Mapping[str, Mapping[str, ArrayLike]],
+    *,
+    half: bool = False,
+) -> None:
+    """Write `{part: {channel: [H, W]}}`, each a part with its name; all of one size.
+
+    Raises:
+        InputError: as for `write_channels`, or several parts of which one has no name.
+    """
+    import OpenEXR
+
+    if not parts or (len(parts) > 1 and "" in parts):
+        raise InputError(f"{path}: parts {list(parts)}; at least one, each with a name, was wanted")
+    arrays = {
+        part: {name: _array(path, name, a, half) for name, a in channels.items()}
+        for part, channels in parts.items()
+    }
+    _check_sizes(path, arrays)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with written_beside(path) as temporary:
+        try:
+            with _captured():
+                made = [OpenEXR.Part(dict(header), a, part) for part, a in arrays.items()]
+                OpenEXR.File(made).write(str(temporary))
+        except (RuntimeError, ValueError, TypeError) as error:
+            reason = " ".join(str(error).replace(str(temporary), str(path)).split())
+            raise InputError(f"{path}: OpenEXR cannot write it: {reason}") from None
+
+
+def _headers(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
+    """The header of each part by its name, checked."""
+    _check_magic(path)
+    file, _ = _open(path, header_only=True)
+    headers: dict[str, dict[str, Any]] = {}
+    values = 0
+    for part in file.parts:
+        try:
+            name = part.name()
+            if name in headers:
+                raise InputError(f"{path}: two parts are called {name!r}; a name each was wanted")
+            where = f"{path}: part {name!r}" if name else f"{path}"
+            values += _check_header(where, part.header)
+        except UnicodeDecodeError:
+            raise InputError(f"{path}: a channel's or part's name is not UTF-8; damaged?") from None
+        headers[name] = part.header
+    if values > MAX_VALUES:
+        raise InputError(
+            f"{path}: {values} values in all channels; at most {MAX_VALUES} are read: "
+            "write the channels that are needed to a file of their own"
+        )
+    if not headers:
+        raise InputError(f"{path}: no part in it; an OpenEXR file with pixels was wanted")
+    return headers
+
+
+def _check_magic(path: str | os.PathLike[str]) -> None:
+    try:
+        with open(path, "rb") as file:
+            start = file.read(4)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; an OpenEXR file was wanted") from None
+    if start != _MAGIC:
+        raise InputError(f"{path}: not an OpenEXR file (it starts with {start!r})")
+
+
+def _open(path: str | os.PathLike[str], *, header_only: bool) -> tuple[Any, str]:
+    """OpenEXR's file, and what its Python side printed of pixels that it could not read."""
+    import OpenEXR
+
+    try:
+        with _captured() as said:
+            file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
+    except MemoryError:
+        raise
+    except Exception:  # the binding lets through whatever C++ throws
+        with open(path, "rb") as opened:
+            version = opened.read(8)
+        wanted = "a whole OpenEXR file was wanted"
+        if len(version) == 8 and version[5] & _MULTI_PART:
+            wanted += ", its parts with different names and the same display window"
+        raise InputError(
+            f"{path}: truncated or damaged: OpenEXR cannot open it; {wanted}"
+        ) from None
+    return file, said.getvalue()
+
+
+@contextmanager
+def _captured() -> Iterator[StringIO]:
+    """Catch what OpenEXR prints: C++ writes to the process's stderr, the binding to stdout."""
+    said = StringIO()
+    sys.stderr.flush()
+    saved, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 2)
+        with redirect_stdout(said):
+            yield said
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(sink)
+
+
+def _check_header(where: str, header: Mapping[str, Any]) -> int:
+    """The number of values in this part's channels."""
+    import OpenEXR
+
+    names = _channel_names(header)
+    if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
+        raise InputError(f"{where}: deep pixels; flatten it to one value a pixel")
+    for channel in header["channels"]:
+        if (channel.xSampling, channel.ySampling) != (1, 1):
+            raise InputError(
+                f"{where}: channel {channel.name!r} is subsampled "
+                f"{channel.xSampling} x {channel.ySampling}; one value a pixel (RGB) was wanted"
+            )
+    for window in ("dataWindow", "displayWindow"):
+        height, width = _size(header[window])
+        if height < 1 or width < 1 or height * width > MAX_PIXELS:
+            raise InputError(
+                f"{where}: its {window} claims {width} x {height} pixels; "
+                f"1…{MAX_PIXELS} pixels were wanted"
+            )
+    if _overlap(header) is None:
+        raise InputError(
+            f"{where}: its data window lies outside its display window; an overlap was wanted"
+        )
+    return _area(header["dataWindow"], header["displayWindow"]) * len(names)
+
+
+def _channel_names(header: Mapping[str, Any]) -> dict[str, None]:
+    """In the order of the file, as the keys of a dict: what `channel_keys` takes."""
+    return {channel.name: None for channel in header["channels"]}
+
+
+def _corners(window: Any) -> tuple[int, int, int, int]:
+    """left, top, right, bottom; the last two belong to the window."""
+    (left, top), (right, bottom) = window
+    return int(left), int(top), int(right), int(bottom)
+
+
+def _size(window: Any) -> tuple[int, int]:
+    left, top, right, bottom = _corners(window)
+    return bottom - top + 1, right - left + 1
+
+
+def _area(*windows: Any) -> int:
+    """Pixels of the largest window."""
+    return max(height * width for height, width in map(_size, windows))
+
+
+def _overlap(header: Mapping[str, Any]) -> tuple[int, int, int, int] | None:
+    data, display = _corners(header["dataWindow"]), _corners(header["displayWindow"])
+    left, top = max(data[0], display[0]), max(data[1], display[1])
+    right, bottom = min(data[2], display[2]), min(data[3], display[3])
+    return (left, top, right, bottom) if left <= right and top <= bottom else None
+
+
+def _placed(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[np.float32]:
+    """The data window's pixels in the display window."""
+    data, display = _corners(header["dataWindow"]), _corners(header["displayWindow"])
+    overlap = _overlap(header)
+    if data == display or overlap is None:
+        return np.ascontiguousarray(pixels, np.float32)
+    left, top, right, bottom = overlap
+    placed = np.zeros(_size(header["displayWindow"]), np.float32)
+    placed[
+        top - display[1] : bottom - display[1] + 1, left - display[0] : right - display[0] + 1
+    ] = pixels[top - data[1] : bottom - data[1] + 1, left - data[0] : right - data[0] + 1]
+    return placed
+
+
+def _array(path: object, name: str, values: ArrayLike, half: bool) -> NDArray[Any]:
+    array = np.asarray(values)
+    if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "fiub":
+        raise InputError(
+            f"{path}: channel {name!r} is {array.dtype} {list(array.shape)}; numbers [H, W] wanted"
+        )
+    if array.size > MAX_PIXELS:
+        raise InputError(
+            f"{path}: channel {name!r} has {array.size} pixels; <= {MAX_PIXELS} wanted"
+        )
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(array, np.float16 if half else np.float32)
+
+
+def _check_sizes(path: object, parts: Mapping[str, Mapping[str, NDArray[Any]]]) -> None:
+    sizes: dict[tuple[int, ...], str] = {}
+    for part, channels in parts.items():
+        if not channels:
+            raise InputError(f"{path}: part {part!r} has no channel; at least one was wanted")
+        for name, array in channels.items():
+            if not isinstance(name, str) or not name:
+                raise InputError(f"{path}: channel name {name!r}; a text was wanted")
+            sizes.setdefault(array.shape, f"{part}.{name}".lstrip("."))
+    if len(sizes) > 1:
+        found = ", ".join(f"{name} {h} x {w}" for (h, w), name in sizes.items())
+        raise InputError(f"{path}: {found} (height x width); one size for all was wanted")

@@ -1,0 +1,115 @@
+"""Choose an interpolator for a tabulated measurement, and make the model's table with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from raden_torch.brdf.interpolation import SCHEMES, bake, reconstruct, why_not
+from raden_torch.brdf.interpolation.choose import LEAST_READINGS, best, hold_out_losses, losses
+from raden_torch.brdf.interpolation.schemes import Reconstruction
+from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.tabulate import Floats, Tabulated
+from raden_torch.errors import InputError
+from raden_torch.measurement import BrdfMeasurement
+from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from raden_torch.measurement.readings import WHITE_LEVEL
+
+_TO_FACTOR = WHITE_LEVEL * np.pi
+
+
+@dataclass(frozen=True)
+class Choice:
+    """An interpolator, and why.
+
+    Attributes:
+        scheme: a key of `SCHEMES`.
+        why: one sentence.
+        losses: the loss of every scheme that was compared (trilinear = 1).
+    """
+
+    scheme: str
+    why: str
+    losses: dict[str, float] = field(default_factory=dict)
+
+
+def choose_interpolation(
+    table: Tabulated, total: Floats, wanted: str, validation: BrdfMeasurement | None
+) -> Choice:
+    """Decide what lies between the nodes; see `interpolation.choose`.
+
+    Args:
+        total: `[A, R, T, 3]` f_r without gaps.
+        wanted: a key of `SCHEMES`, or "auto".
+
+    Raises:
+        InputError: see `fit`.
+    """
+    if wanted not in ("auto", *SCHEMES):
+        raise InputError(f"interpolation {wanted!r}: auto, {', '.join(SCHEMES)} were wanted")
+    reason = "its readings are scattered" if table.scattered else why_not(table.axes_deg)
+    if reason and wanted not in ("auto", "trilinear"):
+        raise InputError(f"interpolation {wanted}: {reason}; trilinear supports this measurement")
+    if wanted != "auto":
+        return Choice(wanted, "as asked for")
+    if reason:
+        return Choice("trilinear", f"the only one that supports this measurement: {reason}")
+    xyz = _xyz_factors(total)
+    if validation is not None:
+        points, truth = _validation_points(table, validation)
+        found = losses(_all_schemes(table, xyz), points, truth)
+        return Choice(best(found), f"best on {len(truth)} validation readings", found)
+    known = table.measured & ~table.averaged
+    found = hold_out_losses(table.axes_deg, xyz, known)
+    if not found:
+        return Choice("trilinear", "too few nodes to hold some out")
+    return Choice(best(found), "best on nodes held out of the measurement", found)
+
+
+def make_table(table: Tabulated, total: Floats, scheme: str) -> ReflectanceTable:
+    """The model's table: the nodes themselves for trilinear, else the interpolator baked."""
+    first, step = (
+        tuple(float(value) for value in values)
+        for values in (
+            (axis[0] for axis in table.axes_deg),
+            (axis[1] - axis[0] for axis in table.axes_deg),
+        )
+    )
+    if scheme == "trilinear":
+        return ReflectanceTable(torch.from_numpy(total).float(), first, step)  # type: ignore[arg-type]
+    baked = bake(reconstruct(table.axes_deg, _xyz_factors(total), SCHEMES[scheme]))
+    values = baked.values @ xyz_to_rgb_matrix().T / _TO_FACTOR
+    return ReflectanceTable(torch.from_numpy(values).float(), first, step, baked.pieces)  # type: ignore[arg-type]
+
+
+def _xyz_factors(f_r: Floats) -> Floats:
+    """f_r in linear RGB → XYZ reflectance factors, which are never negative but for noise."""
+    return np.asarray(f_r @ np.linalg.inv(xyz_to_rgb_matrix()).T * _TO_FACTOR)
+
+
+def _all_schemes(table: Tabulated, xyz: Floats) -> Iterator[tuple[str, Reconstruction]]:
+    for name, scheme in SCHEMES.items():
+        yield name, reconstruct(table.axes_deg, xyz, scheme)
+
+
+def _validation_points(table: Tabulated, validation: BrdfMeasurement) -> tuple[Floats, Floats]:
+    """`[M, 3]` degrees and `[M]` Y of the valid readings."""
+    usable = validation.select(validation.valid)
+    if len(usable) < LEAST_READINGS:
+        raise InputError(
+            f"validation: {len(usable)} valid readings; at least {LEAST_READINGS} off the grid are "
+            "needed to choose by"
+        )
+    points = np.stack([usable.incidence_deg, usable.receiving_deg, usable.tilt_deg], axis=1)
+    low, high = (np.array([axis[end] for axis in table.axes_deg]) for end in (0, -1))
+    outside = int(((points < low - 1e-6) | (points > high + 1e-6)).any(axis=1).sum())
+    if outside:
+        box = ", ".join(f"{a:g}…{b:g}" for a, b in zip(low, high, strict=True))
+        raise InputError(
+            f"validation: {outside} of {len(usable)} readings lie outside the measured box "
+            f"(incidence, receiving, tilt {box} deg); leave them out"
+        )
+    return points, usable.as_xyz().values[:, 1]

@@ -1,0 +1,167 @@
+"""Write an interpolator into a table that is read trilinearly.
+
+The table's axes are incidence, r − a and tilt, so that the mirror ridge runs along the first. Each
+measured cell is cut into 1, 2, 4, 8 or 16 pieces, where that helps most: one cut after another goes
+to the cell and axis at which the error falls most for the growth of the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.brdf.interpolation.kernels import Floats
+from raden_torch.brdf.interpolation.schemes import Reconstruction
+from raden_torch.brdf.table import Pieces
+
+NODES = 110_000
+"""How many nodes a baked table may have: 1.3 MB in float32, near the size of a core's cache."""
+
+_CUTS = np.array([1, 2, 4, 8, 16])
+_SAMPLES = 20_000
+_LUMINANCE = 1
+_SCALE = 0.005  # of both errors, RMS over the 99.9 % quantile and mean |Δ log(1+Y)|
+_MARGIN = 2.0  # measured steps beyond the box along receiving that a cell at its edge may touch
+
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Baked:
+    """A table `[X, Y, Z, C]` of reflectance factors, and its cuts (see `ReflectanceTable`)."""
+
+    values: Floats
+    pieces: Pieces
+
+
+def bake(function: Reconstruction, nodes: int = NODES, seed: int = 0) -> Baked:
+    """Cut the cells and write the function into the nodes.
+
+    Args:
+        nodes: the most nodes the table may have.
+        seed: of the points at which the error of a cut is measured.
+    """
+    pieces = allocate(function, nodes, seed)
+    axes = [_nodes(cuts) for cuts in pieces]
+    step = np.array([axis[1] - axis[0] for axis in function.axes_deg])
+    first = np.array([axis[0] for axis in function.axes_deg])
+    cells = len(pieces[0])
+    x, across, z = np.meshgrid(*axes, indexing="ij")
+    # in measured cells: receiving = incidence + (r − a), whose axis begins `cells` below
+    angles = first + step * np.stack([x, x + across - cells, z], axis=-1)
+    receiving = function.axes_deg[1]
+    margin = _MARGIN * step[1] + 1e-9
+    used = (angles[..., 1] >= receiving[0] - margin) & (angles[..., 1] <= receiving[-1] + margin)
+    values = np.zeros((*used.shape, function.cap.shape[-1]))
+    values[used] = function(angles[used])
+    return Baked(values, pieces)
+
+
+def allocate(function: Reconstruction, nodes: int, seed: int) -> Pieces:
+    """Choose the pieces of every cell, greedily."""
+    errors = _errors_of_cuts(function, seed)
+    level = [np.zeros(len(error), int) for error in errors]
+    total = np.sum([error[:, 0].sum(axis=0) for error in errors], axis=0)
+    while True:
+        sizes = [1 + int(_CUTS[chosen].sum()) for chosen in level]
+        best = (0.0, 0, 0, 0)
+        for axis in range(3):
+            for jump in (1, 2):
+                gain, to = _gains(errors[axis], level[axis], jump, total, sizes, axis, nodes)
+                cell = int(gain.argmax())
+                if gain[cell] > best[0]:
+                    best = (float(gain[cell]), axis, cell, int(to[cell]))
+        gained, axis, cell, to_level = best
+        if gained <= 0:
+            a, across, t = (tuple(int(n) for n in _CUTS[chosen]) for chosen in level)
+            return a, across, t
+        total = total + errors[axis][cell, to_level] - errors[axis][cell, level[axis][cell]]
+        level[axis][cell] = to_level
+
+
+def _gains(
+    error: Floats,
+    level: Ints,
+    jump: int,
+    total: Floats,
+    sizes: list[int],
+    axis: int,
+    nodes: int,
+) -> tuple[Floats, Ints]:
+    """For every cell of an axis: the fall of the cost per logarithm of the table's growth."""
+    to = np.minimum(level + jump, len(_CUTS) - 1)
+    new = sizes[axis] + _CUTS[to] - _CUTS[level]
+    growth = new / sizes[axis]
+    allowed = (level + jump < len(_CUTS)) & (np.prod(sizes, dtype=float) * growth <= nodes)
+    cell = np.arange(len(level))
+    after = total + error[cell, to] - error[cell, level]
+    fall = _cost(total) - _cost(after)
+    return np.where(allowed, fall / np.log(np.maximum(growth, 1 + 1e-9)), 0.0), to
+
+
+def _cost(moments: Floats) -> Floats:
+    rms, log = np.sqrt(np.maximum(moments[..., 0], 0)), moments[..., 1]
+    return np.asarray(rms + log) / _SCALE
+
+
+def _errors_of_cuts(function: Reconstruction, seed: int) -> list[Floats]:
+    """Per axis `[cells, cuts, 2]`: what linear reading of n pieces costs in that cell.
+
+    The two numbers are sums over all sample points in the cell, over their whole number: of the
+    squared error over the 99.9 % quantile, and of |Δ log(1+Y)|.
+    """
+    axes = function.axes_deg
+    step = np.array([axis[1] - axis[0] for axis in axes])
+    low, high = np.array([a[0] for a in axes]), np.array([a[-1] for a in axes])
+    cells = [len(axis) - 1 for axis in axes]
+    points = np.random.default_rng(seed).uniform(low, high, (_SAMPLES, 3))
+
+    def luminance(at: Floats) -> Floats:
+        return function(at, slice(_LUMINANCE, _LUMINANCE + 1))[:, 0]
+
+    truth = luminance(points)
+    level = max(float(np.quantile(truth, 0.999)), 1e-9)
+    node = (points - low) / step
+    position = np.stack([node[:, 0], node[:, 1] - node[:, 0] + cells[0], node[:, 2]], axis=1)
+    found = []
+    for axis, count in enumerate((cells[0], cells[0] + cells[1], cells[2])):
+        cell = np.clip(np.floor(position[:, axis]).astype(int), 0, count - 1)
+        error = np.zeros((count, len(_CUTS), 2))
+        for option, n in enumerate(_CUTS):
+            read = _read_linearly(luminance, points, step, axis, position[:, axis] - cell, int(n))
+            square = ((read - truth) / level) ** 2
+            log = abs(np.log1p(np.maximum(read, 0)) - np.log1p(truth))
+            for kind, value in enumerate((square, log)):
+                error[:, option, kind] = np.bincount(cell, value, count) / len(points)
+        found.append(np.minimum.accumulate(error, axis=1))
+    return found
+
+
+def _read_linearly(
+    luminance: Callable[[Floats], Floats],
+    points: Floats,
+    step: Floats,
+    axis: int,
+    fraction: Floats,
+    n: int,
+) -> Floats:
+    """The function read linearly along one axis of the table, whose cell is cut into n pieces."""
+    piece = np.clip(np.floor(fraction * n), 0, n - 1)
+    f = fraction * n - piece
+    total = np.zeros(len(points))
+    for end, weight in ((piece, 1 - f), (piece + 1, f)):
+        moved = points.copy()
+        shift = step[axis] * (end / n - fraction)
+        moved[:, axis] += shift
+        if axis == 0:  # along incidence at constant r − a
+            moved[:, 1] += shift
+        total += weight * luminance(moved)
+    return total
+
+
+def _nodes(pieces: tuple[int, ...]) -> Floats:
+    """The nodes of an axis, in measured cells."""
+    return np.concatenate([[0.0], *(i + np.arange(1, n + 1) / n for i, n in enumerate(pieces))])
