@@ -20,6 +20,7 @@ lint: $(VENV)/made
 
 bench: $(VENV)/made
 	$(BIN)/python benchmarks/startup.py
+	$(BIN)/raden bench --out benchmarks/results
 
 clean:
 	rm -rf $(VENV) demo

@@ -260,6 +260,33 @@ def relight(
         print(f"wrote {path}")
 
 
+@app.command(epilog="Example: raden bench --out bench")
+def bench(
+    out: Annotated[Path, typer.Option(help="the folder for bench.json and the plot")] = Path(
+        "bench"
+    ),
+    measurement: Annotated[
+        Path | None, typer.Option(help="a grid; else the simulated shell; with --readings")
+    ] = None,
+    readings: Annotated[Path | None, typer.Option(help="readings off that grid")] = None,
+    height: Annotated[int, typer.Option(help="of the timed frame, which is 16:9")] = 720,
+) -> None:
+    """Run time against error, of every interpolator and backend."""
+    from raden_torch.bench import run_bench
+    from raden_torch.capture.importers import load_measurement
+
+    if (measurement is None) != (readings is None):
+        raise InputError("--measurement and --readings go together; give both or neither")
+    if not 16 <= height <= 8192:
+        raise InputError(f"--height {height}: 16…8192 was wanted")
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; name a folder")
+    grid = None if measurement is None else load_measurement(measurement)
+    off_grid = None if readings is None else load_measurement(readings)
+    plot_path = run_bench(out, grid, off_grid, frame=(height, height * 16 // 9))
+    print(f"wrote {plot_path.with_name('bench.json')}\nwrote {plot_path}")
+
+
 @app.command(epilog="Example: raden demo --out demo")
 def demo(
     out: Annotated[Path, typer.Option(help="the folder for the gallery")] = Path("demo"),
