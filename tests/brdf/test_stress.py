@@ -16,9 +16,10 @@ from raden_torch.brdf.stress import invalid_vectors, regions, worst_errors
 NOISY = {"L near V, too near", "L near V, not unit"}
 
 
-@pytest.fixture(scope="module")
-def shell() -> rt.RadenBrdf:
-    return rt.fit(rt.simulate_specimen("yakogai"), interpolation="trilinear").model
+@pytest.fixture(scope="module", params=["trilinear", "lobes"])
+def shell(request: pytest.FixtureRequest) -> rt.RadenBrdf:
+    """The paper's table, and a baked one."""
+    return rt.fit(rt.simulate_specimen("yakogai"), interpolation=request.param).model
 
 
 @torch.no_grad()
@@ -31,6 +32,17 @@ def test_float32_against_float64_in_every_region(shell) -> None:
     for name in NOISY:
         f = shell(*(v.float() for v in sets[name]))
         assert f.abs().max() <= shell.table.values.abs().max() * 1.001, name
+
+
+@torch.no_grad()
+def test_there_is_no_seam_at_perpendicular_incidence(shell) -> None:
+    """(0, r, t) ≡ (0, −r, −t), between the nodes too."""
+    generator = torch.Generator().manual_seed(0)
+    r, t = (2 * torch.rand(2, 1, 2000, 1, generator=generator, dtype=torch.float64) - 1) * 1.2
+    zero = torch.zeros_like(r)
+    torch.testing.assert_close(
+        shell.at_angles(zero, r, t), shell.at_angles(zero, -r, -t), rtol=1e-5, atol=1e-7
+    )
 
 
 @torch.no_grad()

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.brdf.interpolation.kernels import Floats
-from raden_torch.brdf.interpolation.schemes import Reconstruction
+from raden_torch.brdf.interpolation.schemes import Reconstruction, is_mirrored
 from raden_torch.brdf.table import Pieces
 
 NODES = 110_000
@@ -57,49 +57,65 @@ def bake(function: Reconstruction, nodes: int = NODES, seed: int = 0) -> Baked:
     used = (angles[..., 1] >= receiving[0] - margin) & (angles[..., 1] <= receiving[-1] + margin)
     values = np.zeros((*used.shape, function.cap.shape[-1]))
     values[used] = function(angles[used])
+    if is_mirrored(function.axes_deg):
+        _average_equivalents(values, len(pieces[0]), pieces[1])
     return Baked(values, pieces)
 
 
+def _average_equivalents(values: Floats, cells: int, across: tuple[int, ...]) -> None:
+    """(0, r, t) ≡ (0, −r, −t): the plane at incidence 0 is made exactly even, as its nodes are."""
+    plane = values[0, sum(across[:cells]) :]
+    plane[:] = (plane + plane[::-1, ::-1]) / 2
+
+
 def allocate(function: Reconstruction, nodes: int, seed: int) -> Pieces:
-    """Choose the pieces of every cell, greedily."""
+    """Choose the pieces of every cell, greedily; a cell and its mirror image are cut alike."""
     errors = _errors_of_cuts(function, seed)
+    mirror = _mirror_cells([len(error) for error in errors], is_mirrored(function.axes_deg))
+    errors = [(error + error[m]) / 2 for error, m in zip(errors, mirror, strict=True)]
     level = [np.zeros(len(error), int) for error in errors]
     total = np.sum([error[:, 0].sum(axis=0) for error in errors], axis=0)
     while True:
         sizes = [1 + int(_CUTS[chosen].sum()) for chosen in level]
-        best = (0.0, 0, 0, 0)
+        best, choice = 0.0, (0, 0, 0)
         for axis in range(3):
             for jump in (1, 2):
-                gain, to = _gains(errors[axis], level[axis], jump, total, sizes, axis, nodes)
+                to = np.minimum(level[axis] + jump, len(_CUTS) - 1)
+                both = np.where(mirror[axis] == np.arange(len(to)), 1, 2)
+                growth = 1 + both * (_CUTS[to] - _CUTS[level[axis]]) / sizes[axis]
+                fits = np.prod(sizes, dtype=float) * growth <= nodes
+                gain = _gains(errors[axis], level[axis], to, both, total, growth)
+                gain[~fits | (level[axis] + jump >= len(_CUTS))] = 0
                 cell = int(gain.argmax())
-                if gain[cell] > best[0]:
-                    best = (float(gain[cell]), axis, cell, int(to[cell]))
-        gained, axis, cell, to_level = best
-        if gained <= 0:
+                if gain[cell] > best:
+                    best, choice = float(gain[cell]), (axis, cell, int(to[cell]))
+        if best <= 0:
             a, across, t = (tuple(int(n) for n in _CUTS[chosen]) for chosen in level)
             return a, across, t
-        total = total + errors[axis][cell, to_level] - errors[axis][cell, level[axis][cell]]
-        level[axis][cell] = to_level
+        axis, cell, new = choice
+        for c in {cell, int(mirror[axis][cell])}:
+            total = total + errors[axis][c, new] - errors[axis][c, level[axis][c]]
+            level[axis][c] = new
+
+
+def _mirror_cells(cells: list[int], mirrored: bool) -> list[Ints]:
+    """Per axis, which cell is each cell's equivalent at incidence 0: (r, t) ≡ (−r, −t)."""
+    same = [np.arange(n) for n in cells]
+    if mirrored:
+        receiving = cells[1] - cells[0]  # at incidence 0, r − a runs over the last of its cells
+        same[1][-receiving:] = same[1][-receiving:][::-1].copy()
+        same[2] = same[2][::-1].copy()
+    return same
 
 
 def _gains(
-    error: Floats,
-    level: Ints,
-    jump: int,
-    total: Floats,
-    sizes: list[int],
-    axis: int,
-    nodes: int,
-) -> tuple[Floats, Ints]:
+    error: Floats, level: Ints, to: Ints, both: Ints, total: Floats, growth: Floats
+) -> Floats:
     """For every cell of an axis: the fall of the cost per logarithm of the table's growth."""
-    to = np.minimum(level + jump, len(_CUTS) - 1)
-    new = sizes[axis] + _CUTS[to] - _CUTS[level]
-    growth = new / sizes[axis]
-    allowed = (level + jump < len(_CUTS)) & (np.prod(sizes, dtype=float) * growth <= nodes)
     cell = np.arange(len(level))
-    after = total + error[cell, to] - error[cell, level]
+    after = total + both[:, None] * (error[cell, to] - error[cell, level])
     fall = _cost(total) - _cost(after)
-    return np.where(allowed, fall / np.log(np.maximum(growth, 1 + 1e-9)), 0.0), to
+    return np.asarray(fall / np.log(np.maximum(growth, 1 + 1e-9)))
 
 
 def _cost(moments: Floats) -> Floats:
