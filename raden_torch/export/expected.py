@@ -15,9 +15,12 @@ from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.shade import shade
 from raden_torch.export.profiles import GAINS, ports
 
-REGIONS = ("general", "L near V", "L parallel to V", "not vectors")
+REGIONS = ("general", "L near V", "any length", "L parallel to V", "not vectors")
+"""The first two hold vectors that are unit already, which nothing normalises again. Elsewhere the
+rounding of the normalisation shows, divided by |L × V|: square roots differ between machines."""
+
 NEAR = 1e-2
-"""Where |L × V| is below this, rounding in the inputs grows by its inverse."""
+"""L is near V where |L × V| is below this."""
 
 _PARALLEL = 4 * torch.finfo(torch.float32).eps
 _ROUNDING = 2e-6  # a side of a seam is decided by roundings within this many radians
@@ -31,10 +34,12 @@ class Expected:
         values: `[S, B, 3, H, W]`; more than one where a rounding decides on which side of a seam
             (the horizon; a = 0, where the signs flip) a pixel lies: any of them is right.
         region: `[B, 1, H, W]`, an index into `REGIONS`.
+        sine: `[B, 1, H, W]`, |L × V|, of the light for which it is smallest.
     """
 
     values: Tensor
     region: Tensor
+    sine: Tensor
 
 
 def expected(model: RadenBrdf, profile: str, output: str, inputs: dict[str, Tensor]) -> Expected:
@@ -65,7 +70,11 @@ def _gbuffer(model: RadenBrdf, output: str, inputs: dict[str, Tensor]) -> Expect
         irradiance = inputs.get("irradiance", torch.full((1, 3, 1, 1), torch.pi))
         values = values * irradiance * facing.clamp(min=0) * inputs.get("exposure", 1.0)
     valid = torch.stack([_is_vector(m).expand_as(a) for m in maps]).all(0)
-    return Expected(_masked(values, inputs), _regions(_sine(l, v).expand_as(a), valid))
+    unit = torch.stack(
+        [(m == u).all(1, keepdim=True).expand_as(a) for m, u in zip(maps, (n, l, v), strict=True)]
+    )
+    sine = _sine(l, v).expand_as(a)
+    return Expected(_masked(values, inputs), _regions(sine, valid, unit.all(0)), sine)
 
 
 def _scene(model: RadenBrdf, inputs: dict[str, Tensor]) -> Expected:
@@ -76,11 +85,12 @@ def _scene(model: RadenBrdf, inputs: dict[str, Tensor]) -> Expected:
     image = shade(model, gbuffer, lights) * inputs.get("exposure", 1.0)
     view = camera[:, :, None, None] - position
     valid = _is_vector(normal) & _is_vector(view)
-    sine = torch.ones_like(normal[:, :1])
+    sine = torch.ones_like(normal[:, :1]).double()
     for light in lights:
         direction = geometry.normalised(light.at(position, normal)[0])
         sine = torch.minimum(sine, _sine(direction, geometry.normalised(view)))
-    return Expected(_masked(image[None], inputs), _regions(sine, valid))
+    region = _regions(sine, valid, torch.zeros_like(valid))
+    return Expected(_masked(image[None], inputs), region, sine)
 
 
 def lights_of(light: Tensor, colour: Tensor) -> list[Light]:
@@ -113,9 +123,12 @@ def _masked(values: Tensor, inputs: dict[str, Tensor]) -> Tensor:
     return values * torch.nan_to_num(mask, nan=0.0).clamp(0, 1)
 
 
-def _regions(sine: Tensor, valid: Tensor) -> Tensor:
-    region = (sine < NEAR).int() + (sine <= _PARALLEL).int()
-    return torch.where(valid, region, torch.full_like(region, REGIONS.index("not vectors")))
+def _regions(sine: Tensor, valid: Tensor, unit: Tensor) -> Tensor:
+    name = dict(zip(REGIONS, range(len(REGIONS)), strict=True))
+    region = torch.where(sine < NEAR, name["L near V"], name["general"])
+    region = torch.where(unit, region, name["any length"])
+    region = torch.where(sine <= _PARALLEL, name["L parallel to V"], region)
+    return torch.where(valid, region, name["not vectors"])
 
 
 def _sine(l: Tensor, v: Tensor) -> Tensor:  # noqa: E741

@@ -26,7 +26,7 @@ class Runtime:
     Attributes:
         name, version: of the program.
         run: named inputs → the one output; raises what the program raises.
-        takes_all: it takes empty pictures and values for optional inputs.
+        takes_all: it takes empty pictures and values for optional inputs, and must run every case.
     """
 
     name: str
@@ -101,7 +101,8 @@ def load_others(data: bytes) -> Iterator[Runtime | Skipped]:
 
 
 def _openvino(ov: ModuleType, data: bytes) -> Runtime:
-    compiled = ov.Core().compile_model(data, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    core = ov.Core()
+    compiled = core.compile_model(core.read_model(data), "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
     return Runtime("OpenVINO", ov.__version__, lambda inputs: compiled(inputs)[0], False)
 
 

@@ -22,9 +22,10 @@ class Case:
     inputs: dict[str, Tensor]
 
     @property
-    def overrides(self) -> bool:
-        """Whether it replaces a tensor of the model."""
-        return "diffuse_gain" in self.inputs or "specular_gain" in self.inputs
+    def is_basic(self) -> bool:
+        """Whether it has pixels and lights, and leaves all optional inputs at their defaults."""
+        required = {"normal", "light", "view", "position", "camera", "light_colour"}
+        return set(self.inputs) <= required and all(t.numel() for t in self.inputs.values())
 
 
 def cases(model: RadenBrdf, profile: str, output: str) -> list[Case]:
@@ -47,19 +48,22 @@ def cases(model: RadenBrdf, profile: str, output: str) -> list[Case]:
 
 def _gbuffer_cases(draw: torch.Generator) -> list[Case]:
     normal, light, view = _vectors((2, 64, 48), draw).values()
-    near = light + 10 ** (-5.5 + 4.5 * _uniform((2, 1, 64, 48), draw)) * view
+    n, l, v = (_unit(vectors) for vectors in (normal, light, view))  # noqa: E741
+    near = _unit(l + 10 ** (-5 + 4 * _uniform((2, 1, 64, 48), draw)) * v)
     mix = _uniform((2, 1, 64, 48), draw)
-    grazing = torch.linalg.cross(light, view, dim=1) + (mix - 0.5) * 0.02 * (light + view)
+    grazing = torch.linalg.cross(l, v, dim=1) + (mix - 0.5) * 0.02 * (l + v)
     triples = {
-        "random": (normal, light, view),
-        "L near V": (normal, light, near),
-        "L almost opposite V": (normal, light, -near),
-        "L parallel to V": (normal, light, 2 * light),
-        "grazing": (grazing, light, view),
-        "N in the plane of L and V": (mix * light + (1 - mix) * view, light, view),
+        "random": (n, l, v),
+        "of any length": (normal, light, view),
+        "L near V": (n, l, near),
+        "L near V, of any length": (normal, light, near * _uniform((2, 1, 64, 48), draw)),
+        "L almost opposite V": (n, l, -near),
+        "L parallel to V": (n, l, l),
+        "grazing": (_unit(grazing), l, v),
+        "N in the plane of L and V": (_unit(mix * l + (1 - mix) * v), l, v),
         "axes": _axes(),
         "not vectors": _not_vectors(draw),
-        "one light for all pixels": (normal, light[:1, :, :1, :1], view[:, :, :1, :1]),
+        "one light for all pixels": (n, l[:1, :, :1, :1], v[:, :, :1, :1]),
         **{str(size): tuple(_vectors(size, draw).values()) for size in _SIZES},
     }
     return [
@@ -122,8 +126,13 @@ def _vectors(size: tuple[int, int, int], draw: torch.Generator) -> dict[str, Ten
     return {"normal": normal, "light": light, "view": view}
 
 
+def _unit(vectors: Tensor) -> Tensor:
+    """Unit to the last bit of float32, as a careful renderer has them."""
+    return torch.nn.functional.normalize(vectors.double(), dim=1).float()
+
+
 def _axes() -> tuple[Tensor, Tensor, Tensor]:
-    """Every triple of axes and diagonals: right angles, equal and opposite vectors, zero vectors."""
+    """Every triple of axes and diagonals: right angles, equal, opposite and zero vectors."""
     corners = torch.tensor(list(product((-1.0, 0.0, 1.0), repeat=3)))
     index = torch.cartesian_prod(*3 * [torch.arange(27)])
     normal, light, view = (corners[i].T.reshape(1, 3, 81, 243) for i in index.T)

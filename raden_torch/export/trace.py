@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import onnx
 
 PUBLIC = "public:"
-"""Before the names of inputs and outputs: the exporter calls values inside the graph `view`, too."""
+"""Before the names of inputs and outputs: the exporter calls values inside `view`, too."""
 
 
 def trace(shader: Shader, ports: list[Port], output: str, opset: int) -> onnx.ModelProto:
