@@ -15,14 +15,19 @@ from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.shade import shade
 from raden_torch.export.profiles import GAINS, ports
 
-REGIONS = ("general", "L near V", "any length", "L parallel to V", "not vectors")
-"""The first two hold vectors that are unit already, which nothing normalises again. Elsewhere the
-rounding of the normalisation shows, divided by |L × V|: square roots differ between machines."""
+REGIONS = ("general", "steep", "L near V", "any length", "L parallel to V", "not vectors")
+"""`general`, `steep` and `L near V` hold vectors that are unit already, which nothing normalises
+again; in `any length` the rounding of the normalisation shows, divided by |L × V|."""
 
 NEAR = 1e-2
 """L is near V where |L × V| is below this."""
 
+STEEP = 2.5
+"""The model is steep where it changes by more than this times the peak in one radian, as in a
+narrow highlight and at the edge of the table: the angles' own rounding, 1e-6 rad, shows there."""
+
 _PARALLEL = 4 * torch.finfo(torch.float32).eps
+_NUDGE = 1e-3  # radians
 _ROUNDING = 2e-6  # a side of a seam is decided by roundings within this many radians
 
 
@@ -35,11 +40,18 @@ class Expected:
             (the horizon; a = 0, where the signs flip) a pixel lies: any of them is right.
         region: `[B, 1, H, W]`, an index into `REGIONS`.
         sine: `[B, 1, H, W]`, |L × V|, of the light for which it is smallest.
+        slope: `[B, 1, H, W]`, how much the value changes in one radian of the angles.
     """
 
     values: Tensor
     region: Tensor
     sine: Tensor
+    slope: Tensor
+
+    def regions(self, peak: float) -> Tensor:
+        """`region`, with what is steep taken out of the general one."""
+        steep = (self.region == REGIONS.index("general")) & (self.slope > STEEP * peak)
+        return torch.where(steep, REGIONS.index("steep"), self.region)
 
 
 def expected(model: RadenBrdf, profile: str, output: str, inputs: dict[str, Tensor]) -> Expected:
@@ -65,7 +77,7 @@ def _gbuffer(model: RadenBrdf, output: str, inputs: dict[str, Tensor]) -> Expect
         torch.where((a < _ROUNDING) & clear, other_sign, f),
         torch.where(on_horizon, torch.zeros_like(f), f),
     ]
-    values = torch.stack(sides)
+    values = torch.stack([*sides, *_nudged(model, a, r, t)])
     if output == "radiance":
         irradiance = inputs.get("irradiance", torch.full((1, 3, 1, 1), torch.pi))
         values = values * irradiance * facing.clamp(min=0) * inputs.get("exposure", 1.0)
@@ -74,7 +86,17 @@ def _gbuffer(model: RadenBrdf, output: str, inputs: dict[str, Tensor]) -> Expect
         [(m == u).all(1, keepdim=True).expand_as(a) for m, u in zip(maps, (n, l, v), strict=True)]
     )
     sine = _sine(l, v).expand_as(a)
-    return Expected(_masked(values, inputs), _regions(sine, valid, unit.all(0)), sine)
+    values, nudged = values[: len(sides)], values[len(sides) :]
+    slope = (nudged - values[0]).abs().amax(0).amax(1, keepdim=True) / _NUDGE
+    return Expected(_masked(values, inputs), _regions(sine, valid, unit.all(0)), sine, slope)
+
+
+def _nudged(model: RadenBrdf, a: Tensor, r: Tensor, t: Tensor) -> list[Tensor]:
+    """f_r with one of the angles a little larger or smaller."""
+    moves = [
+        tuple(sign * _NUDGE * (i == k) for i in range(3)) for k in range(3) for sign in (1, -1)
+    ]
+    return [model.at_angles(a + x, r + y, t + z) for x, y, z in moves]
 
 
 def _scene(model: RadenBrdf, inputs: dict[str, Tensor]) -> Expected:
@@ -90,7 +112,7 @@ def _scene(model: RadenBrdf, inputs: dict[str, Tensor]) -> Expected:
         direction = geometry.normalised(light.at(position, normal)[0])
         sine = torch.minimum(sine, _sine(direction, geometry.normalised(view)))
     region = _regions(sine, valid, torch.zeros_like(valid))
-    return Expected(_masked(image[None], inputs), region, sine)
+    return Expected(_masked(image[None], inputs), region, sine, torch.zeros_like(sine))
 
 
 def lights_of(light: Tensor, colour: Tensor) -> list[Light]:
