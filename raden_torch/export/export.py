@@ -68,8 +68,11 @@ def export_onnx(
     entry.key, entry.value = "report", json.dumps(replace(report, bytes=0).as_dict())
     data = graph.SerializeToString()
     _read(data)  # the checker has the last word
-    with written_beside(target) as temporary:
-        temporary.write_bytes(data)
+    try:
+        with written_beside(target) as temporary:
+            temporary.write_bytes(data)
+    except OSError as error:
+        raise InputError(f"{target}: not written: {error.strerror}") from None
     return replace(report, bytes=len(data))
 
 
