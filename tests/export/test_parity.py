@@ -6,13 +6,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 import torch
 
 import raden_torch as rt
 from raden_torch.brdf.shapes import sphere
+from raden_torch.brdf.table import ReflectanceTable
 from raden_torch.export.check import LIMITS
 from raden_torch.export.export import verify_onnx
+from raden_torch.export.onnx_file import metadata
 from raden_torch.export.runtimes import onnx_session
 
 SHARE = 5e-6
@@ -112,6 +115,18 @@ def test_a_real_material(exported: Callable, shared: Path) -> None:
     made = exported(rt.fit(measurement).model, output="brdf")
     assert made.report.runtimes[0].status == "same picture"
     assert made.report.peak > 0.1
+
+
+def test_a_baked_table(exported: Callable, matt: rt.RadenBrdf) -> None:
+    """Another way to read the table is exported, too: by its own code."""
+    pieces = ((1, 4, 2), (1, 2, 3, 1, 2, 1, 1, 5, 1), (1, 1, 2, 3, 1, 1))
+    nodes = [1 + sum(cuts) for cuts in pieces]
+    values = torch.rand(*nodes, 3, generator=torch.Generator().manual_seed(0))
+    table = ReflectanceTable(values, (0.0, -60.0, -60.0), (20.0, 20.0, 20.0), pieces)
+    made = exported(rt.RadenBrdf(matt.diffuse, table, specular_gain=0.9))
+    assert made.report.runtimes[0].status == "same picture"
+    assert "incidence 0 to 60 deg" in metadata(onnx.load(made.path))["valid_range"]
+    assert verify_onnx(made.path).runtimes[0].status == "same picture"
 
 
 def test_verify_needs_the_file_alone(exported: Callable, shell: rt.RadenBrdf) -> None:
