@@ -23,7 +23,7 @@ class Export:
 
 @pytest.fixture(scope="session")
 def shell() -> rt.RadenBrdf:
-    return rt.fit(rt.simulate_specimen("yakogai")).model
+    return rt.fit(rt.simulate_specimen("yakogai"), interpolation="trilinear").model
 
 
 @pytest.fixture(scope="session")

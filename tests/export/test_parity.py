@@ -68,7 +68,7 @@ def test_another_shell_in_the_same_file(exported: Callable, shell: rt.RadenBrdf)
     values = shell.table.values.detach().flip(-1).contiguous()
     other = rt.RadenBrdf(
         shell.diffuse,
-        type(shell.table)(values, shell.table.first_deg, shell.table.step_deg),
+        ReflectanceTable(values, shell.table.first_deg, shell.table.step_deg, shell.table.pieces),
         diffuse_gain=0.5,
         specular_gain=2.0,
     )
@@ -110,6 +110,7 @@ def test_a_picture_like_shade(exported: Callable, shell: rt.RadenBrdf) -> None:
     assert (output - wanted).abs().max() <= SHARE * wanted.max()
 
 
+@pytest.mark.slow
 def test_a_real_material(exported: Callable, shared: Path) -> None:
     measurement = rt.load_measurement(shared / "data/measured_brdf/pearl-paint.csv")
     made = exported(rt.fit(measurement).model, output="brdf")
