@@ -21,6 +21,7 @@ lint: $(VENV)/made
 bench: $(VENV)/made
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/raden bench --out benchmarks/results
+	$(BIN)/python benchmarks/onnx_session.py
 
 clean:
 	rm -rf $(VENV) demo

@@ -18,6 +18,7 @@ _HOMES = {
     "PointLight": "raden_torch.brdf.lights",
     "RadenBrdf": "raden_torch.brdf.model",
     "SpotLight": "raden_torch.brdf.lights",
+    "export_onnx": "raden_torch.export.export",
     "fit": "raden_torch.brdf.fit",
     "load_measurement": "raden_torch.capture.importers",
     "load_model": "raden_torch.brdf.model_file",
@@ -35,6 +36,7 @@ __all__ = [
     "PointLight",
     "RadenBrdf",
     "SpotLight",
+    "export_onnx",
     "fit",
     "load_measurement",
     "load_model",
@@ -53,6 +55,7 @@ if TYPE_CHECKING:
     from raden_torch.brdf.model_file import load_model, save_model
     from raden_torch.brdf.shade import shade
     from raden_torch.capture.importers import load_measurement
+    from raden_torch.export.export import export_onnx
     from raden_torch.geometry import raden_angles, vectors_from_angles
     from raden_torch.measurement import BrdfMeasurement
     from raden_torch.optics import simulate_specimen

@@ -287,6 +287,41 @@ def bench(
     print(f"wrote {plot_path.with_name('bench.json')}\nwrote {plot_path}")
 
 
+@app.command(epilog="Example: raden export shell.safetensors -o shell.onnx --profile scene")
+def export(
+    model: ModelFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="the .onnx file to write")],
+    profile: Annotated[
+        str, typer.Option(help="gbuffer (normal, light, view) or scene (with camera and lights)")
+    ] = "gbuffer",
+    quantity: Annotated[
+        str, typer.Option("--quantity", help="radiance, or brdf (f_r in 1/sr, gbuffer only)")
+    ] = "radiance",
+    opset: Annotated[int, typer.Option(help="of the ONNX operators")] = 18,
+) -> None:
+    """Write a model as an ONNX shader for other programs, checked in ONNX Runtime."""
+    from raden_torch.brdf.model_file import load_model
+    from raden_torch.export.export import export_onnx
+
+    with _working("exporting"):
+        report = export_onnx(
+            load_model(model), output, profile=profile, output=quantity, opset=opset
+        )
+    print(f"{report}\nwrote {output}")
+
+
+@app.command(epilog="Example: raden verify shell.onnx")
+def verify(
+    file: Annotated[Path, typer.Argument(help="a file that `raden export` wrote")],
+) -> None:
+    """Check an exported shader in every runtime on this machine."""
+    from raden_torch.export.export import verify_onnx
+
+    with _working(f"verifying {file.name}"):
+        report = verify_onnx(file)
+    print(report)
+
+
 @app.command(epilog="Example: raden demo --out demo")
 def demo(
     out: Annotated[Path, typer.Option(help="the folder for the gallery")] = Path("demo"),

@@ -150,6 +150,23 @@ def test_demo_makes_a_gallery(tmp_path: Path) -> None:
     assert rt.load_model(tmp_path / "gallery/shell.safetensors").provenance.simulated
 
 
+def test_export_and_verify(shell: Path) -> None:
+    made = raden("export", shell / "shell.safetensors", "-o", shell / "shell.onnx")
+    assert (made.returncode, made.stderr) == (0, "")
+    assert f"wrote {shell / 'shell.onnx'}" in made.stdout
+    again = raden("verify", shell / "shell.onnx")
+    assert (again.returncode, again.stderr) == (0, "")
+    for report in (made, again):
+        assert "gbuffer profile, output radiance" in report.stdout
+        assert "onnxruntime" in report.stdout
+        assert "same picture" in report.stdout
+    wrong = raden("export", shell / "shell.safetensors", "-o", shell / "x.onnx", "--opset", 9)
+    assert (wrong.returncode, wrong.stderr.splitlines()) == (
+        2,
+        ["raden: opset 9: 18 to 21 was wanted"],
+    )
+
+
 BAD = {
     "missing measurement": ("fit", "none.csv", "-o", "m.safetensors"),
     "output folder missing": ("fit", "bad.csv", "-o", "none/m.safetensors"),
@@ -166,6 +183,9 @@ BAD = {
     "gallery is a file": ("demo", "--out", "bad.csv"),
     "plot suffix": ("plot", "bad.csv", "-o", "p.txt"),
     "plot of a bad file": ("plot", "bad.csv", "-o", "p.png"),
+    "export of a measurement": ("export", "bad.csv", "-o", "x.onnx"),
+    "verify something else": ("verify", "bad.csv"),
+    "verify nothing": ("verify", "none.onnx"),
     "relight without normals": (
         *("relight", "bad.csv", "--normals", "n.png", "--model", "m.safetensors", "-o", "p.png"),
     ),
@@ -187,7 +207,9 @@ def test_bad_input_is_one_line_and_exit_code_2(name: str, tmp_path: Path) -> Non
     assert [p.name for p in tmp_path.iterdir()] == ["bad.csv"]
 
 
-@pytest.mark.parametrize("command", ["fit", "info", "plot", "render", "relight", "demo"])
+@pytest.mark.parametrize(
+    "command", ["fit", "info", "plot", "render", "relight", "demo", "export", "verify"]
+)
 def test_help_has_an_example(command: str) -> None:
     done = raden(command, "--help")
     assert done.returncode == 0

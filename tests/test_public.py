@@ -16,6 +16,7 @@ NAMES = {
     "PointLight",
     "RadenBrdf",
     "SpotLight",
+    "export_onnx",
     "fit",
     "load_measurement",
     "load_model",
@@ -52,6 +53,7 @@ def test_every_name_is_there_and_documented() -> None:
         ("from raden_torch import load_measurement", {"torch", "kornia", "colour", "cv2"}),
         ("import raden_torch as rt; rt.simulate_specimen", {"torch", "kornia", "cv2"}),
         ("import raden_torch as rt; rt.shade, rt.fit", {"kornia", "colour", "cv2", "matplotlib"}),
+        ("import raden_torch as rt; rt.export_onnx", {"onnx", "onnxscript", "onnxruntime", "cv2"}),
     ],
 )
 def test_heavy_packages_are_imported_where_they_are_used(statement: str, absent: set[str]) -> None:

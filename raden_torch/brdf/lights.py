@@ -54,7 +54,7 @@ class PointLight:
     def at(self, position: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
         """`[B, 3, H, W]` each: direction to the light (not unit) and irradiance facing it."""
         to_light = as_map(self.position, like) - _needed(position, self)
-        return to_light, as_map(self.intensity, like) * _inverse_square(to_light)
+        return to_light, as_map(self.intensity, like) * inverse_square(to_light)
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def as_map(value: Triple, like: Tensor) -> Tensor:
     return tensor.reshape(-1, 3, 1, 1)
 
 
-def _inverse_square(to_light: Tensor) -> Tensor:
+def inverse_square(to_light: Tensor) -> Tensor:
     """1/d², 0 at d = 0 (a lamp in the surface lights nothing)."""
     square = dot(to_light, to_light)
     apart = square > torch.finfo(square.dtype).tiny

@@ -65,8 +65,8 @@ class RadenBrdf(nn.Module):
         diffuse: CosineDiffuse | None,
         table: ReflectanceTable | None,
         *,
-        diffuse_gain: float = 1.0,
-        specular_gain: float = 1.0,
+        diffuse_gain: float | Tensor = 1.0,
+        specular_gain: float | Tensor = 1.0,
         provenance: Provenance | None = None,
     ) -> None:
         super().__init__()
@@ -112,7 +112,9 @@ class RadenBrdf(nn.Module):
         shape[geometry.XYZ_DIM] = 3
         diffuse = angles[0].new_zeros(shape) if self.diffuse is None else self.diffuse(*angles)
         f = self.diffuse_gain * diffuse
-        if self.table is not None and self.specular_gain != 0:
+        # a gain that is a tensor (an input of an exported graph) cannot decide what is computed
+        specular = isinstance(self.specular_gain, Tensor) or self.specular_gain != 0
+        if self.table is not None and specular:
             total, weight = self.table(*angles)
             f = f + self.specular_gain * weight * (total - diffuse)
         return f

@@ -32,6 +32,17 @@ def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
     """
     from safetensors.torch import save
 
+    about = describe(model)
+    tensors = {
+        name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()
+    }
+    data = save(tensors, {"format": FORMAT, "about": json.dumps(about)})
+    with written_beside(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def describe(model: RadenBrdf) -> dict[str, Any]:
+    """All of a model that is not a tensor, as plain JSON values; `assemble` reads it."""
     about: dict[str, Any] = {
         "version": VERSION,
         "quantity": QUANTITY,
@@ -44,12 +55,7 @@ def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
         about["first_deg"] = model.table.first_deg
         about["step_deg"] = model.table.step_deg
         about["pieces"] = model.table.pieces
-    tensors = {
-        name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()
-    }
-    data = save(tensors, {"format": FORMAT, "about": json.dumps(about)})
-    with written_beside(path) as temporary:
-        temporary.write_bytes(data)
+    return about
 
 
 def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
@@ -66,7 +72,7 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
     about = _read_about(path)
     try:
         tensors = load(path.read_bytes())
-        model = _assemble(about, tensors)
+        model = assemble(about, tensors)
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: a raden_torch model with wrong content: {reason}") from None
@@ -108,7 +114,12 @@ def _read_about(path: Path) -> dict[str, Any]:
     return dict(about)
 
 
-def _assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenBrdf:
+def assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenBrdf:
+    """A model from what `describe` says of it and its `state_dict`.
+
+    Raises:
+        KeyError, TypeError, ValueError: the two do not make a model.
+    """
     diffuse = table = None
     if "diffuse.scale" in tensors:
         diffuse = CosineDiffuse(tensors["diffuse.scale"], tensors["diffuse.exponent"])

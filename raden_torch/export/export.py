@@ -1,0 +1,174 @@
+"""`export_onnx`: a model becomes a file that other programs run; `verify_onnx` checks one again."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+
+from raden_torch.brdf.model import RadenBrdf
+from raden_torch.errors import InputError
+from raden_torch.export import onnx_file
+from raden_torch.export.check import ExportReport, RuntimeResult, StressSet
+from raden_torch.export.profiles import check_profile, ports
+from raden_torch.export.runtimes import load_onnxruntime, load_others, needed, one_line
+from raden_torch.files import check_writable, written_beside
+
+if TYPE_CHECKING:
+    import onnx
+
+OPSETS = range(18, 22)
+"""What torch's exporter writes and ONNX Runtime reads."""
+
+
+def export_onnx(
+    model: RadenBrdf,
+    path: str | os.PathLike[str],
+    *,
+    profile: str = "gbuffer",
+    output: str = "radiance",
+    opset: int = onnx_file.OPSET,
+) -> ExportReport:
+    """Write a model as an ONNX shader, once ONNX Runtime has given torch's picture with it.
+
+    Args:
+        model: float32 or float64, on the CPU; the file computes in float32.
+        path: the `.onnx` file to write.
+        profile: "gbuffer": normal, light and view maps; "scene": normals, positions, a camera and
+            any number of lights. See docs/export.md.
+        output: "radiance" (scene-linear RGB) or "brdf" (f_r in 1/sr; gbuffer only).
+        opset: of the ONNX operators; the oldest, 18, runs in most programs.
+
+    Returns:
+        How far ONNX Runtime is from torch, by region; also stored in the file.
+
+    Raises:
+        InputError: no such profile, output or opset; a model in half precision, not finite or not
+            on the CPU; `path` cannot be written; a package is missing; or the pictures differ, in
+            which case there is no file.
+    """
+    check_profile(profile, output)
+    if opset not in OPSETS:
+        raise InputError(f"opset {opset}: {OPSETS[0]} to {OPSETS[-1]} was wanted")
+    target = check_writable(path)
+    own = _float32(model)
+    for package in ("onnx", "onnxscript", "onnxruntime"):
+        needed(package, "export_onnx")
+    graph = _graph(own, profile, output, opset)
+    stress = StressSet(own, profile, output)
+    report = _report(graph, stress, [_in_onnxruntime(stress, graph.SerializeToString())])
+    if report.failures:
+        raise InputError(f"{target}: not written: {report.failures[0]}")
+    entry = graph.metadata_props.add()
+    entry.key, entry.value = "report", json.dumps(replace(report, bytes=0).as_dict())
+    data = graph.SerializeToString()
+    _read(data)  # the checker has the last word
+    try:
+        with written_beside(target) as temporary:
+            temporary.write_bytes(data)
+    except OSError as error:
+        raise InputError(f"{target}: not written: {error.strerror}") from None
+    return replace(report, bytes=len(data))
+
+
+def verify_onnx(path: str | os.PathLike[str]) -> ExportReport:
+    """Check a file that `export_onnx` wrote in every runtime on this machine.
+
+    The model is rebuilt from the file alone; torch's picture of it is compared with each runtime's.
+
+    Raises:
+        InputError: not an ONNX file of ours, damaged, or a runtime gives another picture.
+    """
+    path = Path(path)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; an exported .onnx file was wanted") from None
+    try:
+        report = _verified(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if report.failures:
+        raise InputError(f"{path}: {report.failures[0]}")
+    return report
+
+
+def _graph(model: RadenBrdf, profile: str, output: str, opset: int) -> onnx.ModelProto:
+    from raden_torch.export.shaders import Shader
+    from raden_torch.export.trace import trace
+
+    inputs = ports(model, profile, output)
+    traced = trace(Shader(model, profile, output, inputs), inputs, output, opset)
+    return onnx_file.finished(traced, model, profile, output)
+
+
+def _report(
+    graph: onnx.ModelProto, stress: StressSet, runtimes: list[RuntimeResult]
+) -> ExportReport:
+    texts = onnx_file.metadata(graph)
+    return ExportReport(
+        profile=texts["profile"],
+        output=texts["output"],
+        opset=next(o.version for o in graph.opset_import if o.domain in ("", "ai.onnx")),
+        ir_version=graph.ir_version,
+        nodes=len(graph.graph.node),
+        bytes=graph.ByteSize(),
+        torch=torch.__version__.split("+")[0],
+        peak=stress.peak,
+        runtimes=tuple(runtimes),
+    )
+
+
+def _verified(data: bytes) -> ExportReport:
+    graph = _read(data)
+    texts = onnx_file.metadata(graph)
+    if texts.get("format") != onnx_file.FORMAT:
+        raise InputError("not a shader of raden_torch; `raden export` writes one")
+    version = texts.get("format_version", "")
+    if version != str(onnx_file.FORMAT_VERSION):
+        raise InputError(
+            f"shader format {version!r}; this raden_torch reads {onnx_file.FORMAT_VERSION}; "
+            "export it again"
+        )
+    profile, output = texts.get("profile", ""), texts.get("output", "")
+    stress = StressSet(onnx_file.model_of(graph), profile, output)
+    runtimes = [_in_onnxruntime(stress, data), *(stress.run(r) for r in load_others(data))]
+    return _report(graph, stress, runtimes)
+
+
+def _in_onnxruntime(stress: StressSet, data: bytes) -> RuntimeResult:
+    """Every file must run here; what ONNX Runtime raises is the input's fault."""
+    runtime = load_onnxruntime(data)
+    try:
+        return stress.run(runtime)
+    except Exception as error:  # its errors share no base class but this one
+        raise InputError(
+            f"onnxruntime {runtime.version} cannot run it: {one_line(error)}"
+        ) from None
+
+
+def _read(data: bytes) -> onnx.ModelProto:
+    onnx = needed("onnx", "reading an ONNX file")
+    try:
+        graph = onnx.load_from_string(data)
+        onnx.checker.check_model(data, full_check=True)
+    except Exception as error:  # protobuf's and onnx's errors share no base class but this one
+        raise InputError(f"not a valid ONNX file: {one_line(error)}") from None
+    return graph
+
+
+def _float32(model: RadenBrdf) -> RadenBrdf:
+    """A float32 copy of a model that can be exported."""
+    for name, tensor in model.state_dict().items():
+        if tensor.device.type != "cpu":
+            raise InputError(f"{name}: on {tensor.device}; move the model first: model.cpu()")
+        if tensor.is_floating_point() and tensor.dtype not in (torch.float32, torch.float64):
+            raise InputError(f"{name}: {tensor.dtype}; float32 was wanted: model.float()")
+        if not torch.isfinite(tensor).all():
+            raise InputError(f"{name}: holds values that are not finite; finite ones were wanted")
+    return copy.deepcopy(model).float().requires_grad_(False).eval()

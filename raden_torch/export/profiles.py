@@ -1,0 +1,153 @@
+"""What goes into an exported shader and what comes out: names, shapes, units, defaults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from raden_torch.brdf.model import RadenBrdf
+from raden_torch.errors import InputError
+
+PROFILES = ("gbuffer", "scene")
+OUTPUTS = ("radiance", "brdf")
+
+GAINS = ("diffuse_gain", "specular_gain")
+_NORMAL = (
+    "surface normal; of any length; zero or not finite marks an invalid pixel, which becomes 0"
+)
+_MASK = "how much of the pixel is this material, 0 to 1; NaN counts as 0"
+_EXPOSURE = "linear factor on the output, 2 ** stops"
+_PARAMETERS = {
+    "table.values": ("table", "total f_r in 1/sr at the nodes of incidence, receiving and tilt"),
+    "diffuse.scale": ("diffuse_scale", "S of the diffuse part, per channel, in 1/sr"),
+    "diffuse.exponent": ("diffuse_exponent", "n of the diffuse part, per channel, > 0"),
+    "diffuse_gain": ("diffuse_gain", "I_d, factor on the diffuse part"),
+    "specular_gain": ("specular_gain", "I_s, factor on what the table holds beyond it"),
+}
+
+
+@dataclass(frozen=True)
+class Port:
+    """One input of the graph.
+
+    Attributes:
+        name: as the application calls it.
+        shape: a number, or a name for a size that is free; sizes whose names end in the port's own
+            name may also be 1.
+        doc: what it is, with its unit.
+        default: its value where the application gives none; None makes it required.
+        parameter: the tensor of the model that it replaces, by its name there.
+    """
+
+    name: str
+    shape: tuple[int | str, ...]
+    doc: str
+    default: Tensor | None = None
+    parameter: str | None = None
+
+    @property
+    def example(self) -> Tensor:
+        """A small tensor of this shape to trace with; a size that may be 1 is 1."""
+        if self.default is not None:
+            return self.default.clone()
+        sizes = {"batch": 2, "height": 5, "width": 7, "lights": 3}
+        shape = [n if isinstance(n, int) else sizes.get(n, 1) for n in self.shape]
+        return torch.rand(shape, generator=torch.Generator().manual_seed(0))
+
+
+def check_profile(profile: str, output: str) -> None:
+    """Raise InputError unless there is such a profile with such an output."""
+    if profile not in PROFILES:
+        raise InputError(f"profile {profile!r}: one of {', '.join(PROFILES)} was wanted")
+    if output not in OUTPUTS:
+        raise InputError(f"output {output!r}: one of {', '.join(OUTPUTS)} was wanted")
+    if (profile, output) == ("scene", "brdf"):
+        raise InputError("output 'brdf': the scene profile gives radiance only; use gbuffer")
+
+
+def ports(model: RadenBrdf, profile: str, output: str) -> list[Port]:
+    """The inputs in their order: required ones first, then those with a default."""
+    check_profile(profile, output)
+    if profile == "scene":
+        return [*_scene_ports(), _mask_port(), _exposure_port(), *_parameter_ports(model)]
+    light = [*_gbuffer_ports(), _mask_port()]
+    if output == "radiance":
+        light += [_irradiance_port(), _exposure_port()]
+    return light + _parameter_ports(model)
+
+
+def output_doc(output: str) -> str:
+    """What the graph's one output is."""
+    if output == "brdf":
+        return "f_r in 1/sr, without the cosine; linear RGB, sRGB primaries, unclipped, finite"
+    return "outgoing radiance; scene-linear RGB, sRGB primaries, unclipped, finite"
+
+
+def port_name(parameter: str) -> str:
+    """The name of the input that replaces a parameter or buffer of the model."""
+    return _PARAMETERS.get(parameter, (parameter.replace(".", "_"), ""))[0]
+
+
+def _map(name: str, doc: str, channels: int = 3, default: Tensor | None = None) -> Port:
+    """A map that may be given once for all images, or once for all pixels."""
+    shape = (f"batch_of_{name}", channels, f"height_of_{name}", f"width_of_{name}")
+    return Port(name, shape, f"{doc}; a size may be 1, which then holds for all", default)
+
+
+def _gbuffer_ports() -> list[Port]:
+    return [
+        Port("normal", ("batch", 3, "height", "width"), _NORMAL),
+        _map("light", "direction from the surface to the light; of any length"),
+        _map("view", "direction from the surface to the viewer; of any length"),
+    ]
+
+
+def _scene_ports() -> list[Port]:
+    size = ("batch", 3, "height", "width")
+    light = (
+        "x, y, z, w of each light; w = 0: (x, y, z) is the direction to a light at infinity; "
+        "w = 1: the position of a point light"
+    )
+    colour = (
+        "linear RGB of each light; w = 0: irradiance on a plane that faces the light (pi lights a "
+        "perfect white diffuser to radiance 1); w = 1: intensity, divided by the distance squared"
+    )
+    return [
+        Port("normal", size, _NORMAL),
+        Port("position", size, "surface point, in the frame of the normals"),
+        Port("camera", ("batch_of_camera", 3), "position of the viewer; the first size may be 1"),
+        Port("light", ("lights", 4), light),
+        Port("light_colour", ("lights", 3), colour),
+    ]
+
+
+def _mask_port() -> Port:
+    return _map("mask", _MASK, 1, torch.ones(1, 1, 1, 1))
+
+
+def _irradiance_port() -> Port:
+    doc = (
+        "linear RGB irradiance on a plane that faces the light; pi lights a perfect white diffuser "
+        "to radiance 1"
+    )
+    return _map("irradiance", doc, 3, torch.full((1, 3, 1, 1), torch.pi))
+
+
+def _exposure_port() -> Port:
+    return Port("exposure", (), _EXPOSURE, torch.ones(()))
+
+
+def _parameter_ports(model: RadenBrdf) -> list[Port]:
+    """Every tensor of the model, so that one file serves many shells, and its gains."""
+    values = {name: value.detach() for name, value in model.state_dict().items()}
+    for gain, part in zip(GAINS, (model.diffuse, model.table), strict=True):
+        if part is not None:
+            values[gain] = torch.as_tensor(float(getattr(model, gain)))
+    found = []
+    for name, value in values.items():
+        doc = _PARAMETERS.get(name, ("", f"{name} of the model"))[1]
+        default = value.float() if value.is_floating_point() else value
+        found.append(Port(port_name(name), tuple(value.shape), doc, default, name))
+    return found

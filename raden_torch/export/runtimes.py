@@ -1,0 +1,143 @@
+"""The programs that can run a file on this machine, behind one call."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.errors import InputError
+
+Arrays = dict[str, NDArray[np.float32]]
+Run = Callable[[Arrays], NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class Runtime:
+    """A loaded file.
+
+    Attributes:
+        name, version: of the program.
+        run: named inputs → the one output; raises what the program raises.
+        takes_all: it takes empty pictures and values for optional inputs, and must run every case.
+    """
+
+    name: str
+    version: str
+    run: Run
+    takes_all: bool = True
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A runtime that was not used, and why."""
+
+    name: str
+    reason: str
+
+
+def needed(module: str, job: str) -> ModuleType:
+    """The module, or one line that says which package to install.
+
+    Raises:
+        InputError: it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise InputError(f"{job} needs {module}; install it: pip install {module}") from None
+
+
+def onnx_session(data: bytes, threads: int = 0) -> Any:
+    """A CPU session of ONNX Runtime that says nothing about the optional inputs.
+
+    Raises:
+        InputError: onnxruntime is not installed, or it cannot load the file.
+    """
+    ort = needed("onnxruntime", "running an exported shader")
+    options = ort.SessionOptions()
+    options.log_severity_level = 3
+    options.intra_op_num_threads = threads
+    try:
+        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its errors share no base class but this one
+        raise InputError(f"onnxruntime {ort.__version__} cannot load it: {one_line(error)}") from (
+            None
+        )
+
+
+def load_onnxruntime(data: bytes) -> Runtime:
+    """ONNX Runtime on the CPU."""
+    session = onnx_session(data)
+    version = needed("onnxruntime", "running an exported shader").__version__
+    return Runtime("onnxruntime", version, lambda inputs: session.run(None, inputs)[0])
+
+
+def load_others(data: bytes) -> Iterator[Runtime | Skipped]:
+    """Every other runtime that we know how to call."""
+    for name, module, load in (
+        ("OpenVINO", "openvino", _openvino),
+        ("OpenCV dnn", "cv2", _opencv),
+    ):
+        try:
+            found = importlib.import_module(module)
+        except ImportError:
+            yield Skipped(name, "not installed")
+            continue
+        try:
+            with _quiet_stderr():
+                runtime = load(found, data)
+        except Exception as error:  # whatever a foreign runtime raises is its reason
+            yield Skipped(name, f"cannot load it: {one_line(error)}")
+            continue
+        yield runtime
+
+
+def _openvino(ov: ModuleType, data: bytes) -> Runtime:
+    core = ov.Core()
+    compiled = core.compile_model(core.read_model(data), "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    return Runtime("OpenVINO", ov.__version__, lambda inputs: compiled(inputs)[0], False)
+
+
+def _opencv(cv2: ModuleType, data: bytes) -> Runtime:
+    if not hasattr(cv2.dnn, "ENGINE_NEW"):
+        raise RuntimeError(f"OpenCV {cv2.__version__} has no graph engine; 5.0 or newer has")
+    buffer = np.frombuffer(data, np.uint8)
+
+    def run(inputs: Arrays) -> NDArray[np.float32]:
+        # a new net a call: it keeps the sizes that it was first run with
+        with _quiet_stderr():
+            net = cv2.dnn.readNetFromONNX(buffer, cv2.dnn.ENGINE_NEW)
+            for name, value in inputs.items():
+                net.setInput(value, name)
+            return np.asarray(net.forward())
+
+    cv2.dnn.readNetFromONNX(buffer, cv2.dnn.ENGINE_NEW)
+    return Runtime("OpenCV dnn", cv2.__version__, run, False)
+
+
+@contextmanager
+def _quiet_stderr() -> Iterator[None]:
+    """Foreign libraries print their errors as well as raising them; the raised ones are enough."""
+    saved = os.dup(2)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
+        os.close(null)
+
+
+def one_line(error: Exception) -> str:
+    """The first line of what a library said, at most 200 characters."""
+    lines = str(error).strip().splitlines()
+    return lines[0][:200] if lines else type(error).__name__

@@ -1,0 +1,69 @@
+"""From a shader module to an ONNX graph, by torch's own exporter."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from raden_torch.export.profiles import Port
+from raden_torch.export.shaders import Shader
+
+if TYPE_CHECKING:
+    import onnx
+
+PUBLIC = "public:"
+"""Before the names of inputs and outputs: the exporter calls values inside `view`, too."""
+
+
+def trace(shader: Shader, ports: list[Port], output: str, opset: int) -> onnx.ModelProto:
+    """The shader as a graph with one input a port; what the exporter adds is still in it."""
+    from onnxscript import opset18
+
+    def gather_rows(rows: Any, indices: Any) -> Any:
+        """`rows[indices]` with the int32 indices as they are; the exporter's own takes int64."""
+        return opset18.Gather(rows, indices[0], axis=0)
+
+    with _silent_exporter(), torch.no_grad():
+        program = torch.onnx.export(
+            shader.eval(),
+            tuple(port.example for port in ports),
+            input_names=[PUBLIC + port.name for port in ports],
+            output_names=[PUBLIC + output],
+            opset_version=opset,
+            dynamic_shapes={"tensors": tuple(_dynamic(port) for port in ports)},
+            custom_translation_table={torch.ops.aten.index.Tensor: gather_rows},
+            dynamo=True,
+            external_data=False,
+            verbose=False,
+        )
+    assert program is not None  # it is None for the exporter before dynamo only
+    return program.model_proto
+
+
+def _dynamic(port: Port) -> dict[int, Any]:
+    """The sizes that stay free while tracing; those that are 1 in the example broadcast anyway."""
+    free = ("batch", "height", "width", "lights")
+    return {i: torch.export.Dim.DYNAMIC for i, n in enumerate(port.shape) if n in free}
+
+
+@contextmanager
+def _silent_exporter() -> Iterator[None]:
+    """Keep back what the exporter says about itself, and nothing else.
+
+    It logs that torchvision, which we do not use, is not installed; and torch warns about its own
+    use of a pytree class.
+    """
+    logger = logging.getLogger("torch.onnx._internal.exporter._registration")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message=".*LeafSpec.*", category=FutureWarning)
+            yield
+    finally:
+        logger.setLevel(level)

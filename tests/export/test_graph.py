@@ -1,0 +1,121 @@
+"""What is in the file: operators, inputs, texts, and nothing of the machine that made it."""
+
+from __future__ import annotations
+
+import getpass
+import json
+import platform
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+import raden_torch as rt
+from raden_torch.export.onnx_file import metadata, model_of
+
+PROFILES = ("gbuffer", "scene")
+# fmt: off
+OPERATORS = {
+    "Abs", "Add", "And", "Atan", "Cast", "Clip", "Concat", "Cos", "Div", "Expand", "Floor",
+    "Gather", "Greater", "IsInf", "IsNaN", "Less", "Max", "Min", "Mul", "Neg", "Not", "Pow",
+    "Reciprocal", "ReduceMax", "ReduceMin", "ReduceSum", "Reshape", "Shape", "Sin", "Slice",
+    "Split", "Sqrt", "Squeeze", "Sub", "Transpose", "Unsqueeze", "Where",
+}
+# fmt: on
+"""All of opset 18 and run by every runtime that we know; no loops, no GridSample, no GatherND."""
+
+
+@pytest.fixture(params=PROFILES)
+def graph(request: pytest.FixtureRequest, exported: Callable, shell: rt.RadenBrdf):
+    return onnx.load(exported(shell, profile=request.param).path)
+
+
+def test_it_is_old_enough_for_old_runtimes(graph: onnx.ModelProto) -> None:
+    assert graph.ir_version == 8
+    assert [(o.domain, o.version) for o in graph.opset_import] == [("", 18)]
+    assert not graph.functions
+    onnx.checker.check_model(graph, full_check=True)
+
+
+def test_operators_are_the_common_ones(graph: onnx.ModelProto) -> None:
+    assert {node.op_type for node in graph.graph.node} <= OPERATORS
+    assert {node.domain for node in graph.graph.node} == {""}
+
+
+def test_rows_are_gathered_with_int32(graph: onnx.ModelProto) -> None:
+    """int64 indices give silently wrong pictures in some browsers."""
+    inferred = onnx.shape_inference.infer_shapes(graph, strict_mode=True).graph
+    types = {v.name: v.type.tensor_type.elem_type for v in inferred.value_info}
+    gathers = [node for node in graph.graph.node if node.op_type == "Gather"]
+    assert len(gathers) >= 8
+    assert {types[node.input[1]] for node in gathers} == {onnx.TensorProto.INT32}
+
+
+def test_all_is_in_one_file_with_a_default_for_what_is_optional(graph: onnx.ModelProto) -> None:
+    tensors = {t.name: t for t in graph.graph.initializer}
+    assert all(t.data_location == onnx.TensorProto.DEFAULT for t in tensors.values())
+    names = [i.name for i in graph.graph.input]
+    optional = metadata(graph)["optional_inputs"].split(", ")
+    assert set(optional) <= set(tensors)
+    assert set(names) - set(optional) == set(names) - set(tensors)
+    assert names[-len(optional) :] == optional
+    assert {"mask", "exposure", "table", "diffuse_gain", "specular_gain"} <= set(optional)
+    assert all(value.doc_string for value in (*graph.graph.input, *graph.graph.output))
+
+
+def test_texts_explain_it(graph: onnx.ModelProto, shell: rt.RadenBrdf) -> None:
+    texts = metadata(graph)
+    assert texts["format"] == "raden_torch shader"
+    assert texts["library"] == f"raden_torch {rt.__version__}"
+    assert "radiance" in texts["quantity"]
+    assert "sRGB" in texts["colour_space"]
+    assert "mirror has r = a" in texts["angle_convention"]
+    assert texts["valid_range"] == (
+        "incidence 0 to 70 deg, receiving -70 to 70 deg, tilt -70 to 70 deg"
+    )
+    assert texts["simulated"] == "true"
+    assert texts["measurement_sha256"] == shell.provenance.measurement_sha256
+    assert "simulated" in graph.doc_string
+
+
+def test_the_report_is_inside(exported: Callable, shell: rt.RadenBrdf) -> None:
+    made = exported(shell, profile="gbuffer")
+    stored = json.loads(metadata(onnx.load(made.path))["report"])
+    assert stored == json.loads(json.dumps(made.report.as_dict() | {"bytes": 0}))
+    assert stored["runtimes"][0]["status"] == "same picture"
+    assert made.report.bytes == made.path.stat().st_size
+    assert made.report.bytes < 60_000 + 4 * shell.table.values.numel()
+
+
+def test_nothing_of_the_machine_is_inside(graph: onnx.ModelProto) -> None:
+    for tensor in graph.graph.initializer:
+        tensor.ClearField("raw_data")  # numbers may spell anything
+    data = graph.SerializeToString()
+    machine = [str(Path.home()), str(Path.cwd()), "site-packages", ".py", "/tmp"]
+    machine += [name for name in (getpass.getuser(), platform.node()) if len(name) > 4]
+    for text in machine:
+        assert text.encode() not in data, text
+    assert not any(node.metadata_props or node.doc_string for node in graph.graph.node)
+    assert not graph.graph.value_info
+
+
+def test_the_model_comes_back(graph: onnx.ModelProto, shell: rt.RadenBrdf) -> None:
+    again = model_of(graph)
+    assert again.provenance.sample == shell.provenance.sample
+    for name, tensor in shell.state_dict().items():
+        assert np.array_equal(again.state_dict()[name], tensor), name
+
+
+def test_parts_that_are_not_there_cost_nothing(
+    exported: Callable, shell: rt.RadenBrdf, matt: rt.RadenBrdf
+) -> None:
+    table_only = rt.RadenBrdf(None, shell.table, specular_gain=0.5)
+    whole = exported(shell, profile="gbuffer").report
+    diffuse, table = exported(matt, output="brdf"), exported(table_only, output="brdf")
+    assert diffuse.report.bytes < 30_000
+    assert diffuse.report.nodes < table.report.nodes < whole.nodes
+    names = {i.name for i in onnx.load(table.path).graph.input}
+    assert {"table", "specular_gain"} <= names
+    assert not names & {"diffuse_scale", "diffuse_gain", "irradiance", "exposure"}
