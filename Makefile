@@ -20,15 +20,16 @@ lint: $(VENV)/made
 
 bench: $(VENV)/made
 	$(BIN)/python benchmarks/startup.py
+	$(BIN)/python benchmarks/kernel.py
 
 clean:
 	rm -rf $(VENV) demo
 
 # torch first and alone: a resolver that sees it late may choose another build
-$(VENV)/made: pyproject.toml constraints-dev.txt
+$(VENV)/made: pyproject.toml constraints-dev.txt $(wildcard kernel/*)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-		-c constraints-dev.txt torch setuptools
+		-c constraints-dev.txt torch scikit-build-core nanobind cmake ninja
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
 		-c constraints-dev.txt -e '.[dev]'
 	touch $@

@@ -26,6 +26,8 @@ using MapOf = std::array<std::int64_t, 5>;
 constexpr long piece = 32;            // tiles that a thread takes at once: 2048 pixels
 constexpr long caches = 512 * 1024;   // pixels; a larger image would push everything else out
 
+constexpr long near_caches = 128 * 1024;  // floats of a table
+
 Map as_map(const std::optional<MapOf>& m) {
     if (!m) return {};
     const auto& [address, batch, channel, row, column] = *m;
@@ -84,6 +86,7 @@ raden::Model as_model(const ModelOf& from) {
     }
     m.table.row = 3L * m.table.nodes[2];
     m.table.slab = m.table.row * m.table.nodes[1];
+    m.table.large = m.table.slab * m.table.nodes[0] > near_caches;
     m.has_diffuse = from.has_diffuse;
     m.diffuse_gain = from.diffuse_gain;
     m.specular_gain = from.specular_gain;

@@ -13,6 +13,7 @@ struct Map {
 struct Table {
     const float* values = nullptr;
     int nodes[3] = {0, 0, 0};
+    bool large = false;      // does not stay in the near caches
     long row = 0, slab = 0;  // floats from one receiving, or incidence, to the next
     float per_radian[3] = {0, 0, 0}, offset[3] = {0, 0, 0};
 };

@@ -6,6 +6,21 @@
 
 namespace raden {
 
+#if defined(__GNUC__)
+static inline int count_of(unsigned bits) { return __builtin_popcount(bits); }
+static inline int lowest(unsigned bits) { return __builtin_ctz(bits); }
+static inline void ask_for(const float* p) { __builtin_prefetch(p); }
+#else
+static inline int count_of(unsigned bits) {
+    int n = 0;
+    for (; bits != 0; bits &= bits - 1) ++n;
+    return n;
+}
+
+static inline int lowest(unsigned bits) { return count_of((bits & (0u - bits)) - 1); }
+static inline void ask_for(const float*) {}
+#endif
+
 // The pixels of one tile that are worth a look; all of its buffers together stay in the L1 cache.
 template <class V>
 struct Tile {
@@ -93,6 +108,7 @@ struct Tile {
             (V(1.0f) - ft).store(cells.near + i);
             ft.store(cells.far + i);
             lit[g] = lanes & ~bits(both(weight <= 0.0f, V(0.0f) <= weight));
+            if (m.table.large) prefetch(g);
         }
         if (!m.has_diffuse) return;
         const V share = select(above, V(m.diffuse_gain) - weight, 0.0f);
@@ -105,6 +121,18 @@ struct Tile {
         }
     }
 
+    // A large table lies in far caches: ask for its lines before they are needed.
+    void prefetch(int g) {
+        const Table& table = scene.model.table;
+        for (int i = g * V::lanes; i < (g + 1) * V::lanes; ++i) {
+            const float* p = table.values + 3L * cells.first[i];
+            ask_for(p);
+            ask_for(p + table.row);
+            ask_for(p + table.slab);
+            ask_for(p + table.slab + table.row);
+        }
+    }
+
     void nothing_in(int g) {
         lit[g] = 0;
         has_body[g] = false;
@@ -114,19 +142,16 @@ struct Tile {
     void collect(int g, V out[3]) {
         const int i = g * V::lanes;
         float* here = rgb + 4 * i;
-        if (lit[g] == 0) {
-            out[0] = out[1] = out[2] = 0.0f;
-        } else {
-            if (lit[g] == all_lanes(out[0])) {
-                for (int k = 0; k < V::lanes; ++k)
-                    fetch(out[0], cells, i + k, scene.model.table, here + 4 * k);
-            } else {
-                for (int k = 0; k < 4 * V::lanes; k += V::lanes) V(0.0f).store(here + k);
-                for (int k = 0; k < V::lanes; ++k)
-                    if (lit[g] >> k & 1)
-                        fetch(out[0], cells, i + k, scene.model.table, here + 4 * k);
-            }
-            planes(here, out[0], out[1], out[2]);
+        const unsigned lanes = lit[g];
+        const bool most = count_of(lanes) > V::lanes / 2;
+        for (int k = 0; most && k < V::lanes; ++k)
+            fetch(out[0], cells, i + k, scene.model.table, here + 4 * k);
+        for (unsigned left = most ? 0 : lanes; left != 0; left &= left - 1)
+            fetch(out[0], cells, i + lowest(left), scene.model.table, here + 4 * lowest(left));
+        planes(here, out[0], out[1], out[2]);
+        if (lanes != all_lanes(out[0])) {
+            const auto kept = lanes_in(lanes, out[0]);
+            for (int c = 0; c < 3; ++c) out[c] = select(kept, out[c], 0.0f);
         }
         if (has_body[g])
             for (int c = 0; c < 3; ++c) out[c] = out[c] + V::load(body[c] + i);

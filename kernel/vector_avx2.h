@@ -34,6 +34,11 @@ inline Avx2::Mask operator<=(Avx2 a, Avx2 b) { return {_mm256_cmp_ps(a.x, b.x, _
 inline Avx2::Mask both(Avx2::Mask a, Avx2::Mask b) { return {_mm256_and_ps(a.x, b.x)}; }
 inline Avx2::Mask but_not(Avx2::Mask a, Avx2::Mask b) { return {_mm256_andnot_ps(b.x, a.x)}; }
 inline unsigned bits(Avx2::Mask m) { return static_cast<unsigned>(_mm256_movemask_ps(m.x)); }
+inline Avx2::Mask lanes_in(unsigned bits, const Avx2&) {
+    const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+    const __m256i on = _mm256_and_si256(_mm256_set1_epi32(static_cast<int>(bits)), bit);
+    return {_mm256_castsi256_ps(_mm256_cmpeq_epi32(on, bit))};
+}
 
 inline Avx2 fma(Avx2 a, Avx2 b, Avx2 c) { return _mm256_fmadd_ps(a.x, b.x, c.x); }
 inline Avx2 fnma(Avx2 a, Avx2 b, Avx2 c) { return _mm256_fnmadd_ps(a.x, b.x, c.x); }

@@ -30,6 +30,7 @@ inline __mmask16 operator<=(Avx512 a, Avx512 b) { return _mm512_cmp_ps_mask(a.x,
 inline __mmask16 both(__mmask16 a, __mmask16 b) { return _mm512_kand(a, b); }
 inline __mmask16 but_not(__mmask16 a, __mmask16 b) { return _mm512_kandn(b, a); }
 inline unsigned bits(__mmask16 m) { return m; }
+inline __mmask16 lanes_in(unsigned bits, const Avx512&) { return static_cast<__mmask16>(bits); }
 
 inline Avx512 fma(Avx512 a, Avx512 b, Avx512 c) { return _mm512_fmadd_ps(a.x, b.x, c.x); }
 inline Avx512 fnma(Avx512 a, Avx512 b, Avx512 c) { return _mm512_fnmadd_ps(a.x, b.x, c.x); }

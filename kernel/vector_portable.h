@@ -62,6 +62,8 @@ inline unsigned bits(PM m) {
     return all;
 }
 
+inline Portable::Mask lanes_in(unsigned bits, P) { return maskwise([&](int i) { return (bits >> i & 1) != 0; }); }
+
 inline Portable fma(P a, P b, P c) { return a * b + c; }
 inline Portable fnma(P a, P b, P c) { return c - a * b; }
 inline Portable fms(P a, P b, P c) { return a * b - c; }
