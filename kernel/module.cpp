@@ -143,6 +143,7 @@ NB_MODULE(_kernel, m) {
             s.normal = as_map(normal), s.view = as_map(view), s.position = as_map(position);
             s.camera = as_map(camera), s.mask = as_map(mask);
             s.lights = reinterpret_cast<const raden::Light*>(lights);
+            s.lit = true;
             s.light_count = light_count;
             s.image = reinterpret_cast<float*>(image);
             nb::gil_scoped_release released;

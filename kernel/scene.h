@@ -41,7 +41,8 @@ struct Scene {
     long batch = 0, rows = 0, columns = 0;
     Map normal, light, view, position, mask;  // without data where the scene has none
     Map camera;                               // [B, 3]; the view is camera − position where given
-    const Light* lights = nullptr;            // [lights, batch]; none: f_r itself, light from the map
+    bool lit = false;                         // by lights; else f_r itself, with `light` as a map
+    const Light* lights = nullptr;            // [lights, batch]
     int light_count = 0;
     Model model;
     float* image = nullptr;  // [B, 3, H, W] in one piece

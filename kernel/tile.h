@@ -313,7 +313,7 @@ void shade_tiles(const Scene& scene, long first_tile, long last_tile) {
         const long line = i / across;
         Tile<V> tile(scene, line / scene.rows, line % scene.rows, i % across * tile_pixels);
         tile.select_pixels();
-        if (scene.lights)
+        if (scene.lit)
             tile.shade();
         else
             tile.reflect();
