@@ -1,7 +1,7 @@
 """How fast the model is evaluated: ratios within one run, losses beside wins.
 
-`naive` is what one writes first: `atan2`, `acos` and a 5-D `grid_sample`. `floor` copies a tensor so
-that as many bytes move as the model reads and writes (48 a pixel: three maps in, one image out).
+`naive` is what one writes first: `atan2`, `acos` and a 5-D `grid_sample`. `floor` copies a tensor
+so that as many bytes move as the model reads and writes (48 a pixel: three maps in, one image out).
 Each form is timed in turn, so that a drift of the machine hits all alike. Results go to
 benchmarks/results/kernel.json; nothing is asserted.
 """

@@ -221,13 +221,11 @@ def _shade(
     return image
 
 
-@torch.library.register_fake("raden_torch::brdf")
 def _brdf_shape(normal: Tensor, light: Tensor, view: Tensor, *model: Any) -> Tensor:
     shape = torch.broadcast_shapes(normal.shape, light.shape, view.shape)
     return normal.new_empty(shape, dtype=torch.float32)
 
 
-@torch.library.register_fake("raden_torch::shade")
 def _shade_shape(
     normal: Tensor,
     view: Tensor | None,
@@ -278,6 +276,8 @@ def _brdf_backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
     return tuple(by_input.get(i) for i in range(len(inputs)))
 
 
+torch.library.register_fake("raden_torch::brdf", _brdf_shape)
+torch.library.register_fake("raden_torch::shade", _shade_shape)
 torch.library.register_autograd("raden_torch::brdf", _brdf_backward, setup_context=_keep_inputs)
 
 

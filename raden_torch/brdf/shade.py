@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, cast
 
 import torch
 from torch import Tensor
@@ -11,7 +11,15 @@ from torch import Tensor
 from raden_torch import geometry
 from raden_torch.brdf import kernel
 from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.lights import DirectionalLight, Light, PointLight, SpotLight, as_map, packed
+from raden_torch.brdf.lights import (
+    DirectionalLight,
+    Light,
+    PointLight,
+    SpotLight,
+    Triple,
+    as_map,
+    packed,
+)
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
 
@@ -75,7 +83,7 @@ def _by_kernel(model: RadenBrdf, gbuffer: GBuffer, lights: list[Light]) -> Tenso
     """The fused kernel's image, or None where the eager form has to do it."""
     normal, position, mask = gbuffer.normal, gbuffer.position, gbuffer.mask
     view = gbuffer.view if isinstance(gbuffer.view, Tensor) else None
-    camera = None if view is not None else as_map(gbuffer.camera, normal)[..., 0, 0]
+    camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
     floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
     lamps = packed(lights, position, normal)
     if not kernel.takes(model, normal, view, position, camera, floating, lamps):

@@ -80,7 +80,7 @@ def almost_across_the_plane() -> Maps:
 
 
 def grazing() -> Maps:
-    n, l, v = (directions(COUNT, seed) for seed in (1, 2, 3))
+    n, l, v = (directions(COUNT, seed) for seed in (1, 2, 3))  # noqa: E741
     along = unit(l - (n * l).sum(1, keepdim=True) * n)
     return n, unit(along + 1e-3 * n), v
 
