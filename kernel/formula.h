@@ -166,7 +166,7 @@ struct IncidenceTerm {
 // 0 over one step outside the box.
 template <class V>
 inline V place(const Table& table, int axis, const V& radians, V& fraction, V& weight) {
-    const float last = static_cast<float>(table.nodes[axis] - 1);
+    const float last = table.nodes[axis] - 1;
     const V x = fma(radians, V(table.per_radian[axis]), V(table.offset[axis]));
     const V inside = least(greatest(x, 0.0f), last);
     weight = weight * greatest(V(1.0f) - magnitude(x - inside), 0.0f);

@@ -78,15 +78,15 @@ raden::Model as_model(const ModelOf& from) {
     raden::Model m;
     m.table.values = reinterpret_cast<const float*>(from.table);
     for (int k = 0; k < 3; ++k) {
-        m.table.nodes[k] = from.nodes[k];
+        m.table.nodes[k] = static_cast<float>(from.nodes[k]);
         m.table.per_radian[k] = static_cast<float>(180 / M_PI / from.step_deg[k]);
         m.table.offset[k] = static_cast<float>(-from.first_deg[k] / from.step_deg[k]);
         m.scale[k] = from.scale[k];
         m.exponent[k] = from.exponent[k];
     }
-    m.table.row = 3L * m.table.nodes[2];
-    m.table.slab = m.table.row * m.table.nodes[1];
-    m.table.large = m.table.slab * m.table.nodes[0] > near_caches;
+    m.table.row = 3L * from.nodes[2];
+    m.table.slab = m.table.row * from.nodes[1];
+    m.table.large = m.table.slab * from.nodes[0] > near_caches;
     m.has_diffuse = from.has_diffuse;
     m.diffuse_gain = from.diffuse_gain;
     m.specular_gain = from.specular_gain;

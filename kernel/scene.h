@@ -12,7 +12,7 @@ struct Map {
 // f_r on a regular grid, [A, R, T, 3] in one piece; node = radians · per_radian + offset.
 struct Table {
     const float* values = nullptr;
-    int nodes[3] = {0, 0, 0};
+    float nodes[3] = {0, 0, 0};
     bool large = false;      // does not stay in the near caches
     long row = 0, slab = 0;  // floats from one receiving, or incidence, to the next
     float per_radian[3] = {0, 0, 0}, offset[3] = {0, 0, 0};

@@ -96,9 +96,7 @@ struct Tile {
             const V y = place(m.table, 1, r + r, fr, weight);
             const V z = place(m.table, 2, t + t, ft, weight);
             weight = select(above, weight * m.specular_gain, 0.0f);
-            const float ny = static_cast<float>(m.table.nodes[1]);
-            const float nz = static_cast<float>(m.table.nodes[2]);
-            fma(fma(x, V(ny), y), V(nz), z).store_int(cells.first + i);
+            fma(fma(x, V(m.table.nodes[1]), y), V(m.table.nodes[2]), z).store_int(cells.first + i);
             const V gain = weight * strength;
             const V high = gain * fa, low = gain * (V(1.0f) - fa), rest = V(1.0f) - fr;
             (low * rest).store(cells.weight[0] + i);
@@ -138,23 +136,31 @@ struct Tile {
         has_body[g] = false;
     }
 
+    // The table at every pixel that reads it. Where most lanes do, reading all is cheaper than asking.
+    void read_table() {
+        const Table table = scene.model.table;
+        const V any = 0.0f;
+        for (int g = 0; g < groups; ++g) {
+            const int i = g * V::lanes;
+            if (count_of(lit[g]) > V::lanes / 2)
+                for (int k = i; k < i + V::lanes; ++k) fetch(any, cells, k, table, rgb + 4 * k);
+            else
+                for (unsigned left = lit[g]; left != 0; left &= left - 1) {
+                    const int k = i + lowest(left);
+                    fetch(any, cells, k, table, rgb + 4 * k);
+                }
+        }
+    }
+
     // The three channels of one vector of pixels, from the table and the diffuse part.
     void collect(int g, V out[3]) {
-        const int i = g * V::lanes;
-        float* here = rgb + 4 * i;
-        const unsigned lanes = lit[g];
-        const bool most = count_of(lanes) > V::lanes / 2;
-        for (int k = 0; most && k < V::lanes; ++k)
-            fetch(out[0], cells, i + k, scene.model.table, here + 4 * k);
-        for (unsigned left = most ? 0 : lanes; left != 0; left &= left - 1)
-            fetch(out[0], cells, i + lowest(left), scene.model.table, here + 4 * lowest(left));
-        planes(here, out[0], out[1], out[2]);
-        if (lanes != all_lanes(out[0])) {
-            const auto kept = lanes_in(lanes, out[0]);
+        planes(rgb + 4 * g * V::lanes, out[0], out[1], out[2]);
+        if (lit[g] != all_lanes(out[0])) {
+            const auto kept = lanes_in(lit[g], out[0]);
             for (int c = 0; c < 3; ++c) out[c] = select(kept, out[c], 0.0f);
         }
         if (has_body[g])
-            for (int c = 0; c < 3; ++c) out[c] = out[c] + V::load(body[c] + i);
+            for (int c = 0; c < 3; ++c) out[c] = out[c] + V::load(body[c] + g * V::lanes);
     }
 
     float* pixel(int channel) const {
@@ -204,6 +210,7 @@ struct Tile {
             if (lanes == 0) continue;
             place_group(g, lanes, normal, view, cos_r, light, cos_i, V(1.0f), above);
         }
+        read_table();
         for (int g = 0; g < groups; ++g) {
             V out[3];
             collect(g, out);
@@ -276,6 +283,7 @@ struct Tile {
             strength = select(above, strength, 0.0f);
             place_group(g, lanes, normal, load(views, i), cos_r, to, cos_i, strength, above);
         }
+        read_table();
         for (int g = 0; g < groups; ++g) {
             if (lit[g] == 0 && !has_body[g]) continue;
             V out[3];
