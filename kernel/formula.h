@@ -162,16 +162,29 @@ struct IncidenceTerm {
     }
 };
 
-// Along one axis of the table: the node below, the fraction above it, and the weight that fades to
-// 0 over one step outside the box.
+// Along one axis of the table: the position in measured cells, and the weight that fades to 0 over
+// one of them outside the box.
 template <class V>
-inline V place(const Table& table, int axis, const V& radians, V& fraction, V& weight) {
-    const float last = table.nodes[axis] - 1;
+inline V inside_box(const Table& table, int axis, const V& radians, V& weight) {
     const V x = fma(radians, V(table.per_radian[axis]), V(table.offset[axis]));
-    const V inside = least(greatest(x, 0.0f), last);
+    const V inside = least(greatest(x, 0.0f), table.box[axis]);
     weight = weight * greatest(V(1.0f) - magnitude(x - inside), 0.0f);
-    const V low = least(floor_of(inside), last - 1);
-    fraction = inside - low;
+    return inside;
+}
+
+// Measured cells → nodes, of a baked table.
+template <class V>
+inline V cut(const Table& table, int axis, const V& x) {
+    const V cell = least(greatest(floor_of(x), 0.0f), table.last_cell[axis]);
+    const V start = lookup(table.cuts[axis], cell + cell);
+    return fma(x - cell, lookup(table.cuts[axis] + 1, cell + cell), start);
+}
+
+// The node below, and the fraction above it.
+template <class V>
+inline V node(const Table& table, int axis, const V& x, V& fraction) {
+    const V low = least(greatest(floor_of(x), 0.0f), table.nodes[axis] - 2);
+    fraction = x - low;
     return low;
 }
 

@@ -68,6 +68,8 @@ void join_rows(Scene& s) {
 struct ModelOf {
     std::int64_t table = 0;  // address, 0 for none
     std::array<int, 3> nodes{};
+    std::vector<std::int64_t> cuts;  // addresses, of a baked table
+    std::vector<int> cells;
     std::array<double, 3> first_deg{}, step_deg{};
     bool has_diffuse = false;
     std::array<float, 3> scale{}, exponent{};
@@ -81,6 +83,13 @@ raden::Model as_model(const ModelOf& from) {
         m.table.nodes[k] = static_cast<float>(from.nodes[k]);
         m.table.per_radian[k] = static_cast<float>(180 / M_PI / from.step_deg[k]);
         m.table.offset[k] = static_cast<float>(-from.first_deg[k] / from.step_deg[k]);
+        m.table.box[k] = m.table.nodes[k] - 1;
+        if (from.cuts.size() == 3) {
+            m.table.cuts[k] = reinterpret_cast<const float*>(from.cuts[k]);
+            m.table.last_cell[k] = static_cast<float>(from.cells[k] - 1);
+            const int beside = k == 1 ? from.cells[0] : 0;  // r − a spans the cells of both
+            m.table.box[k] = static_cast<float>(from.cells[k] - beside);
+        }
         m.scale[k] = from.scale[k];
         m.exponent[k] = from.exponent[k];
     }
@@ -110,6 +119,8 @@ NB_MODULE(_kernel, m) {
         .def(nb::init<>())
         .def_rw("table", &ModelOf::table)
         .def_rw("nodes", &ModelOf::nodes)
+        .def_rw("cuts", &ModelOf::cuts)
+        .def_rw("cells", &ModelOf::cells)
         .def_rw("first_deg", &ModelOf::first_deg)
         .def_rw("step_deg", &ModelOf::step_deg)
         .def_rw("has_diffuse", &ModelOf::has_diffuse)

@@ -9,10 +9,14 @@ struct Map {
     long batch = 0, channel = 0, row = 0, column = 0;
 };
 
-// f_r on a regular grid, [A, R, T, 3] in one piece; node = radians · per_radian + offset.
+// f_r on a grid, [A, R, T, 3] in one piece; cell = radians · per_radian + offset.
 struct Table {
     const float* values = nullptr;
     float nodes[3] = {0, 0, 0};
+    // a baked table: axis 1 is r − a, and cell i of an axis begins at node cuts[2i] and has
+    // cuts[2i + 1] pieces; `box` counts the measured cells along a, r, t
+    const float* cuts[3] = {nullptr, nullptr, nullptr};
+    float box[3] = {0, 0, 0}, last_cell[3] = {0, 0, 0};
     bool large = false;      // does not stay in the near caches
     long row = 0, slab = 0;  // floats from one receiving, or incidence, to the next
     float per_radian[3] = {0, 0, 0}, offset[3] = {0, 0, 0};

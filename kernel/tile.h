@@ -92,9 +92,17 @@ struct Tile {
             V fa, fr, ft;
             const V a = arctan(half.a), r = arctan(half.r), t = arctan(half.t);
             weight = 1.0f;
-            const V x = place(m.table, 0, a + a, fa, weight);
-            const V y = place(m.table, 1, r + r, fr, weight);
-            const V z = place(m.table, 2, t + t, ft, weight);
+            V x = inside_box(m.table, 0, a + a, weight);
+            V y = inside_box(m.table, 1, r + r, weight);
+            V z = inside_box(m.table, 2, t + t, weight);
+            if (m.table.cuts[0]) {
+                y = cut(m.table, 1, y - x + m.table.box[0]);
+                x = cut(m.table, 0, x);
+                z = cut(m.table, 2, z);
+            }
+            x = node(m.table, 0, x, fa);
+            y = node(m.table, 1, y, fr);
+            z = node(m.table, 2, z, ft);
             weight = select(above, weight * m.specular_gain, 0.0f);
             fma(fma(x, V(m.table.nodes[1]), y), V(m.table.nodes[2]), z).store_int(cells.first + i);
             const V gain = weight * strength;

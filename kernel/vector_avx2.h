@@ -56,6 +56,11 @@ inline Avx2 negated_where(Avx2::Mask m, Avx2 a) {
     return _mm256_xor_ps(a.x, _mm256_and_ps(m.x, _mm256_set1_ps(-0.0f)));
 }
 
+// p[i] for whole i.
+inline Avx2 lookup(const float* p, Avx2 i) {
+    return _mm256_i32gather_ps(p, _mm256_cvttps_epi32(i.x), 4);
+}
+
 // x = m 2^e with m in [0.75, 1.5), for normal x > 0.
 inline Avx2 split(Avx2 x, Avx2& e) {
     const __m256i raw = _mm256_castps_si256(x.x);

@@ -46,6 +46,11 @@ inline Avx512 negated_where(__mmask16 m, Avx512 a) {
     return _mm512_mask_xor_ps(a.x, m, a.x, _mm512_set1_ps(-0.0f));
 }
 
+// p[i] for whole i.
+inline Avx512 lookup(const float* p, Avx512 i) {
+    return _mm512_i32gather_ps(_mm512_cvttps_epi32(i.x), p, 4);
+}
+
 // x = m 2^e with m in [0.75, 1.5), for normal x > 0.
 inline Avx512 split(Avx512 x, Avx512& e) {
     const __m512 m = _mm512_getmant_ps(x.x, _MM_MANT_NORM_p75_1p5, _MM_MANT_SIGN_zero);

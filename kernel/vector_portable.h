@@ -76,6 +76,11 @@ inline Portable nearest(P a) { return lanewise([&](int i) { return std::nearbyin
 inline Portable select(PM m, P a, P b) { return lanewise([&](int i) { return m.x[i] ? a.x[i] : b.x[i]; }); }
 inline Portable negated_where(PM m, P a) { return lanewise([&](int i) { return m.x[i] ? -a.x[i] : a.x[i]; }); }
 
+// p[i] for whole i.
+inline Portable lookup(const float* p, P i) {
+    return lanewise([&](int k) { return p[static_cast<int>(i.x[k])]; });
+}
+
 // x = m 2^e with m in [0.75, 1.5), for normal x > 0.
 inline Portable split(P x, Portable& e) {
     return lanewise([&](int i) {

@@ -40,8 +40,11 @@ PRECISIONS = (torch.float32, torch.float16, torch.bfloat16)
 LARGEST_TABLE = 2**24
 """Nodes: the kernel counts them in single precision, which is exact up to here."""
 
+CUTS = 4
+"""Where the operator's list of tensors stands among its arguments."""
+
 _MODEL = (
-    "Tensor? table, float[] first_deg, float[] step_deg, Tensor? scale, Tensor? exponent, "
+    "Tensor? table, Tensor[] cuts, float[] first_deg, float[] step_deg, Tensor? scale, Tensor? exponent, "
     "float diffuse_gain, float specular_gain"
 )
 torch.library.define(
@@ -156,6 +159,7 @@ def _arguments(model: RadenBrdf) -> tuple[Any, ...]:
     diffuse = model.diffuse
     return (
         None if table is None else table.values,
+        () if table is None else table.cuts,
         () if table is None else table.first_deg,
         () if table is None else table.step_deg,
         None if diffuse is None else diffuse.scale,
@@ -261,19 +265,20 @@ def _keep_inputs(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
     ctx.is_tensor = [isinstance(x, Tensor) for x in inputs]
 
 
-def _brdf_backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
+def _brdf_backward(ctx: Any, gradient: Tensor) -> tuple[Any, ...]:
     """The gradient of the eager form, evaluated again."""
     saved = iter(ctx.saved_tensors)
     inputs = [
         next(saved).detach().requires_grad_(ctx.needs_input_grad[i]) if is_tensor else other
         for i, (is_tensor, other) in enumerate(zip(ctx.is_tensor, ctx.others, strict=True))
     ]
-    wanted = [i for i, needed in enumerate(ctx.needs_input_grad) if needed]
+    wanted = [i for i, needed in enumerate(ctx.needs_input_grad) if needed is True]
     with torch.enable_grad():
         f = _eager(*inputs)
         found = torch.autograd.grad(f, [inputs[i] for i in wanted], gradient, allow_unused=True)
     by_input = dict(zip(wanted, found, strict=True))
-    return tuple(by_input.get(i) for i in range(len(inputs)))
+    no_cuts = [None] * len(inputs[CUTS])
+    return tuple(no_cuts if i == CUTS else by_input.get(i) for i in range(len(inputs)))
 
 
 torch.library.register_fake("raden_torch::brdf", _brdf_shape)
@@ -286,12 +291,13 @@ def _eager(normal: Tensor, light: Tensor, view: Tensor, *arguments: Any) -> Tens
     from raden_torch.brdf.model import CosineDiffuse, RadenBrdf
     from raden_torch.brdf.table import ReflectanceTable
 
-    values, first_deg, step_deg, scale, exponent, diffuse_gain, specular_gain = arguments
+    values, cuts, first_deg, step_deg, scale, exponent, diffuse_gain, specular_gain = arguments
+    pieces = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None
     tensors = {"table.values": values, "diffuse.scale": scale, "diffuse.exponent": exponent}
     tensors = {name: t for name, t in tensors.items() if t is not None}
     model = RadenBrdf(
         None if scale is None else CosineDiffuse(scale.detach(), exponent.detach()),
-        None if values is None else ReflectanceTable(values.detach(), first_deg, step_deg),
+        None if values is None else ReflectanceTable(values.detach(), first_deg, step_deg, pieces),
         diffuse_gain=diffuse_gain,
         specular_gain=specular_gain,
     )
@@ -301,26 +307,30 @@ def _eager(normal: Tensor, light: Tensor, view: Tensor, *arguments: Any) -> Tens
 
 def _packed(
     values: Tensor | None,
+    cuts: list[Tensor],
     first_deg: list[float],
     step_deg: list[float],
     scale: Tensor | None,
     exponent: Tensor | None,
     diffuse_gain: float,
     specular_gain: float,
-) -> tuple[Tensor | None, Any]:
-    """The model as the kernel takes it, and the tensor that it points into."""
+) -> tuple[list[Tensor], Any]:
+    """The model as the kernel takes it, and the tensors that it points into."""
     model = _kernel.Model()
-    table = None
+    held = []
     if values is not None:
         table = values.detach().float().contiguous()
+        held = [table, *(c.detach().float().contiguous() for c in cuts)]
         model.table = table.data_ptr()
+        model.cuts = [c.data_ptr() for c in held[1:]]
+        model.cells = [len(c) for c in cuts]
         model.nodes = tuple(table.shape[:3])
         model.first_deg, model.step_deg = tuple(first_deg), tuple(step_deg)
     if scale is not None and exponent is not None:
         model.has_diffuse = True
         model.scale, model.exponent = tuple(scale.tolist()), tuple(exponent.tolist())
     model.diffuse_gain, model.specular_gain = diffuse_gain, specular_gain
-    return table, model
+    return held, model
 
 
 def _four_dimensions(m: Tensor) -> Tensor:

@@ -165,6 +165,19 @@ def test_gains_and_missing_parts(model, level, gains, parts) -> None:
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=2e-5)
 
 
+def test_a_baked_table_is_read_as_in_the_eager_form(level) -> None:
+    pieces = ((1, 4, 2), (1, 2, 3, 4, 4, 3, 2, 1, 1), (3, 1, 1, 2, 2, 3))
+    generator = torch.Generator().manual_seed(8)
+    values = torch.rand(*(1 + sum(cuts) for cuts in pieces), 3, generator=generator)
+    table = ReflectanceTable(values, (0.0, -70.0, -60.0), (20.0, 20.0, 20.0), pieces)
+    baked = rt.RadenBrdf(CosineDiffuse(torch.ones(3), torch.ones(3)), table)
+    maps = tuple(m.float() for m in REGIONS["random"]())
+    exact = baked(*(m.double() for m in maps)).detach()
+    found, eager = (evaluate(baked, maps, which) - exact for which in (level, kernel.OFF))
+    assert found.abs().mean() <= 2 * eager.abs().mean()
+    assert found.abs().quantile(0.999) <= 2 * eager.abs().quantile(0.999)
+
+
 def image_maps(height: int = 37, width: int = 101) -> Maps:
     return tuple(
         directions(2 * height * width, seed).float().reshape(3, 2, height, width).transpose(0, 1)
