@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
@@ -297,7 +297,9 @@ def _eager(normal: Tensor, light: Tensor, view: Tensor, *arguments: Any) -> Tens
     tensors = {name: t for name, t in tensors.items() if t is not None}
     model = RadenBrdf(
         None if scale is None else CosineDiffuse(scale.detach(), exponent.detach()),
-        None if values is None else ReflectanceTable(values.detach(), first_deg, step_deg, pieces),
+        None
+        if values is None
+        else ReflectanceTable(values.detach(), first_deg, step_deg, cast(Any, pieces)),
         diffuse_gain=diffuse_gain,
         specular_gain=specular_gain,
     )
