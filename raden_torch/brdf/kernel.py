@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -44,8 +44,8 @@ CUTS = 4
 """Where the operator's list of tensors stands among its arguments."""
 
 _MODEL = (
-    "Tensor? table, Tensor[] cuts, float[] first_deg, float[] step_deg, Tensor? scale, Tensor? exponent, "
-    "float diffuse_gain, float specular_gain"
+    "Tensor? table, Tensor[] cuts, float[] first_deg, float[] step_deg, Tensor? scale, "
+    "Tensor? exponent, float diffuse_gain, float specular_gain"
 )
 torch.library.define(
     "raden_torch::brdf", f"(Tensor normal, Tensor light, Tensor view, {_MODEL}) -> Tensor"
@@ -292,14 +292,12 @@ def _eager(normal: Tensor, light: Tensor, view: Tensor, *arguments: Any) -> Tens
     from raden_torch.brdf.table import ReflectanceTable
 
     values, cuts, first_deg, step_deg, scale, exponent, diffuse_gain, specular_gain = arguments
-    pieces = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None
+    pieces: Any = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None
     tensors = {"table.values": values, "diffuse.scale": scale, "diffuse.exponent": exponent}
     tensors = {name: t for name, t in tensors.items() if t is not None}
     model = RadenBrdf(
         None if scale is None else CosineDiffuse(scale.detach(), exponent.detach()),
-        None
-        if values is None
-        else ReflectanceTable(values.detach(), first_deg, step_deg, cast(Any, pieces)),
+        None if values is None else ReflectanceTable(values.detach(), first_deg, step_deg, pieces),
         diffuse_gain=diffuse_gain,
         specular_gain=specular_gain,
     )
