@@ -22,15 +22,16 @@ bench: $(VENV)/made
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/raden bench --out benchmarks/results
 	$(BIN)/python benchmarks/onnx_session.py
+	$(BIN)/python benchmarks/kernel.py
 
 clean:
 	rm -rf $(VENV) demo
 
 # torch first and alone: a resolver that sees it late may choose another build
-$(VENV)/made: pyproject.toml constraints-dev.txt
+$(VENV)/made: pyproject.toml constraints-dev.txt $(wildcard kernel/*)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
-		-c constraints-dev.txt torch setuptools
+		-c constraints-dev.txt torch scikit-build-core nanobind cmake ninja
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-build-isolation \
 		-c constraints-dev.txt -e '.[dev]'
 	touch $@

@@ -99,12 +99,23 @@ def fit(
 
 @app.command(epilog="Example: raden info shell.safetensors --against offgrid.csv")
 def info(
-    file: Annotated[Path, typer.Argument(help="a measurement or a model")],
+    file: Annotated[Path | None, typer.Argument(help="a measurement or a model")] = None,
     against: Annotated[
         Path | None, typer.Option(help="readings to score a model on, e.g. off its grid")
     ] = None,
+    system: Annotated[
+        bool, typer.Option("--system", help="instead: which form of the model runs here")
+    ] = False,
 ) -> None:
     """Say what a file holds; score a model on readings that it was not fitted to."""
+    if system == (file is not None):
+        raise InputError("info: give a FILE, or --system")
+    if file is None:
+        from raden_torch.brdf.kernel import system_report
+
+        print(system_report())
+        return
+
     from raden_torch.describe import describe_measurement, describe_model
     from raden_torch.measurement import BrdfMeasurement
 

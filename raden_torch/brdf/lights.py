@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from raden_torch.errors import InputError
-from raden_torch.geometry import dot
+from raden_torch.geometry import dot, normalised, working_dtype
 
 Triple = Tensor | Sequence[float]
 """Three numbers, or a tensor `[3]` or `[B, 3]` (one for each image of a batch)."""
@@ -101,6 +101,36 @@ def as_map(value: Triple, like: Tensor) -> Tensor:
     """`[3]` or `[B, 3]` → `[1 or B, 3, 1, 1]`, on the device and in the dtype of `like`."""
     tensor = torch.as_tensor(value, dtype=like.dtype, device=like.device)
     return tensor.reshape(-1, 3, 1, 1)
+
+
+def packed(lights: Sequence[Light], position: Tensor | None, like: Tensor) -> Tensor:
+    """`[lights, 1 or B, 12]` for the fused kernel: kind (0 directional, 1 point, 2 spot), unit
+    direction or position, irradiance or intensity, axis, cosines of the outer and inner angle."""
+    rows = [_row(light, position, like) for light in lights]
+    if not rows:
+        return like.new_zeros(0, 1, 12, dtype=torch.float32)
+    batch = max(len(row) for row in rows)
+    return torch.stack([row.expand(batch, -1) for row in rows])
+
+
+def _row(light: Light, position: Tensor | None, like: Tensor) -> Tensor:
+    def columns(value: Triple) -> Tensor:
+        return torch.as_tensor(value, dtype=dtype, device=like.device).reshape(-1, 3)
+
+    dtype = working_dtype(like)
+    axis, cosines = columns((0.0, 0.0, 0.0)), like.new_zeros(1, 2, dtype=dtype)
+    if isinstance(light, DirectionalLight):
+        kind, radiated = 0, light.irradiance
+        at = normalised(columns(light.direction)[..., None, None])[..., 0, 0]
+    else:
+        _needed(position, light)
+        kind, radiated, at = 1, light.intensity, columns(light.position)
+    if isinstance(light, SpotLight):
+        kind, axis = 2, columns(light.target) - at
+        cosines = torch.cos(torch.deg2rad(cosines.new_tensor([[light.outer_deg, light.inner_deg]])))
+    parts = [at.new_full((1, 1), kind), at, columns(radiated), axis, cosines]
+    batch = max(len(part) for part in parts)
+    return torch.cat([part.expand(batch, -1) for part in parts], dim=1)
 
 
 def inverse_square(to_light: Tensor) -> Tensor:

@@ -9,8 +9,10 @@ import torch
 from torch import Tensor, nn
 
 from raden_torch import geometry
+from raden_torch.brdf import kernel
 from raden_torch.brdf.diffuse import diffuse
 from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.errors import InputError
 
 
 class CosineDiffuse(nn.Module):
@@ -92,12 +94,17 @@ class RadenBrdf(nn.Module):
             InputError: see `raden_angles`.
         """
         geometry.check_vector_maps(normal=normal, light=light, view=view)
+        self.check_device(normal)
+        if kernel.takes(self, normal, light, view):
+            return kernel.brdf(self, normal, light, view)
         dtype = self.working_dtype(normal, light, view)
         vectors = (geometry.normalised(m.to(dtype)) for m in (normal, light, view))
         return self.of_unit_vectors(*vectors)
 
     def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
         """`forward` of vectors that are unit, or zero where invalid, and of one dtype."""
+        if kernel.takes(self, n, l, v):
+            return kernel.brdf(self, n, l, v)
         above = (geometry.dot(n, l) > 0) & (geometry.dot(n, v) > 0)
         f = self.at_angles(*geometry.angles_from_unit_vectors(n, l, v))
         return torch.where(above, f, torch.zeros_like(f))
@@ -118,6 +125,15 @@ class RadenBrdf(nn.Module):
             total, weight = self.table(*angles)
             f = f + self.specular_gain * weight * (total - diffuse)
         return f
+
+    def check_device(self, like: Tensor) -> None:
+        """Raise InputError, in one line, unless the model is where the maps are."""
+        for name, p in self.named_parameters():
+            if p.device != like.device:
+                raise InputError(
+                    f"model {name} on {p.device}, maps on {like.device}: one device was wanted; "
+                    f"use model.to({str(like.device)!r})"
+                )
 
     def working_dtype(self, *maps: Tensor) -> torch.dtype:
         """float64 where an input or the model is, else float32."""

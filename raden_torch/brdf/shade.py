@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, cast
 
 import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf import kernel
 from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.lights import DirectionalLight, Light, PointLight, SpotLight
+from raden_torch.brdf.lights import (
+    DirectionalLight,
+    Light,
+    PointLight,
+    SpotLight,
+    Triple,
+    as_map,
+    packed,
+)
+from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
 
 
@@ -43,6 +53,11 @@ def shade(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light] | Light) 
     for light in lights:
         if not isinstance(light, (DirectionalLight, PointLight, SpotLight)):
             raise InputError(f"lights: {type(light).__name__} is not a light of raden_torch")
+    if type(model) is RadenBrdf:
+        model.check_device(gbuffer.normal)
+        image = _by_kernel(model, gbuffer, lights)
+        if image is not None:
+            return image
     maps = [m for m in (gbuffer.normal, gbuffer.view, gbuffer.position) if isinstance(m, Tensor)]
     dtype = model.working_dtype(*maps)
     normal = geometry.normalised(gbuffer.normal.to(dtype))
@@ -62,3 +77,17 @@ def shade(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light] | Light) 
         return torch.where(valid, image, torch.zeros_like(image))
     mask = torch.nan_to_num(gbuffer.mask.to(dtype), nan=0.0).clamp(0, 1)
     return torch.where(valid, image, torch.zeros_like(image)) * mask
+
+
+def _by_kernel(model: RadenBrdf, gbuffer: GBuffer, lights: list[Light]) -> Tensor | None:
+    """The fused kernel's image, or None where the eager form has to do it."""
+    normal, position, mask = gbuffer.normal, gbuffer.position, gbuffer.mask
+    view = gbuffer.view if isinstance(gbuffer.view, Tensor) else None
+    camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
+    floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
+    lamps = packed(lights, position, normal)
+    if not kernel.takes(model, normal, view, position, camera, floating, lamps):
+        return None
+    for lamp in lamps.unbind(0):
+        geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
+    return kernel.shade(model, normal, view, position, camera, floating, lamps)

@@ -33,6 +33,10 @@ class ReflectanceTable(nn.Module):
         pieces: None for a plain table; else its second axis is r − a.
     """
 
+    _cuts_0: Tensor
+    _cuts_1: Tensor
+    _cuts_2: Tensor
+
     def __init__(
         self,
         values: Tensor,
@@ -61,6 +65,11 @@ class ReflectanceTable(nn.Module):
             self.register_buffer(f"_cuts_{k}", _cuts(cuts), persistent=False)
         if pieces is not None and len(pieces[1]) <= len(pieces[0]):
             raise InputError("table: a baked table needs more cells along r − a than along a")
+
+    @property
+    def cuts(self) -> tuple[Tensor, ...]:
+        """Per axis of a baked table `[cells, 2]`: the first node of each cell, and its pieces."""
+        return () if self.pieces is None else (self._cuts_0, self._cuts_1, self._cuts_2)
 
     @property
     def cells(self) -> tuple[int, int, int]:
@@ -106,7 +115,7 @@ class ReflectanceTable(nn.Module):
 
     def _cut(self, axis: int, x: Tensor) -> Tensor:
         """Measured cells → nodes: cell i begins at node `start` and is cut into `n` pieces."""
-        cuts: Tensor = getattr(self, f"_cuts_{axis}").to(x.dtype)
+        cuts = self.cuts[axis].to(x.dtype)
         cell = x.detach().floor().clamp(0, len(cuts) - 1)
         index = cell.to(torch.int32)
         return cuts[:, 0][index] + (x - cell) * cuts[:, 1][index]

@@ -1,0 +1,340 @@
+// Tiles of 64 pixels: first where each pixel lies in the table, then the table, then the sum.
+#pragma once
+#include <cstdint>
+
+#include "formula.h"
+
+namespace raden {
+
+#if defined(__GNUC__)
+static inline int count_of(unsigned bits) { return __builtin_popcount(bits); }
+static inline int lowest(unsigned bits) { return __builtin_ctz(bits); }
+static inline void ask_for(const float* p) { __builtin_prefetch(p); }
+#else
+static inline int count_of(unsigned bits) {
+    int n = 0;
+    for (; bits != 0; bits &= bits - 1) ++n;
+    return n;
+}
+
+static inline int lowest(unsigned bits) { return count_of((bits & (0u - bits)) - 1); }
+static inline void ask_for(const float*) {}
+#endif
+
+// The pixels of one tile that are worth a look; all of its buffers together stay in the L1 cache.
+template <class V>
+struct Tile {
+    static constexpr int groups = tile_pixels / V::lanes;
+
+    const Scene& scene;
+    const long image, row, first;
+    const int width;           // pixels of the tile
+    int count = 0;             // of these, the ones that are not masked out
+    bool whole = false;        // all 64
+    int at[tile_pixels];       // which ones
+    unsigned lit[groups];      // lanes that read the table
+    bool has_body[groups];     // lanes with a diffuse part that does not cancel
+    Cells cells;
+    alignas(64) float rgb[4 * tile_pixels];
+    alignas(64) float body[3][tile_pixels], sum[3][tile_pixels], masked[tile_pixels];
+    alignas(64) float n[3][tile_pixels], v[3][tile_pixels], n_v[tile_pixels];
+    unsigned seen[groups];
+    alignas(64) float copies[4][3][tile_pixels];
+
+    Tile(const Scene& s, long b, long y, long x)
+        : scene(s), image(b), row(y), first(x),
+          width(static_cast<int>(s.columns - x < tile_pixels ? s.columns - x : tile_pixels)) {}
+
+    void select_pixels() {
+        if (!scene.mask.data) {
+            count = width;
+            for (int i = 0; i < width; ++i) at[i] = i;
+        } else {
+            const Map& m = scene.mask;
+            const float* p = m.data + image * m.batch + row * m.row + first * m.column;
+            for (int i = 0; i < width; ++i) {
+                const float value = p[i * m.column];
+                at[count] = i;
+                masked[count] = value < 1.0f ? value : 1.0f;
+                count += value > 0.0f;  // not NaN either
+            }
+        }
+        whole = count == tile_pixels;
+        for (int i = count; i < tile_pixels; ++i) masked[i] = 0.0f;
+    }
+
+    // Three planes of a map for the pixels selected: the map itself where it lies in a row.
+    void planes_of(const Map& m, int buffer, const float* out[3]) {
+        const float* p = m.data + image * m.batch + row * m.row + first * m.column;
+        for (int c = 0; c < 3; ++c, p += m.channel) {
+            out[c] = p;
+            if (whole && m.column == 1) continue;
+            float* copy = copies[buffer][c];
+            for (int i = 0; i < count; ++i) copy[i] = p[at[i] * m.column];
+            for (int i = count; i < tile_pixels; ++i) copy[i] = 0.0f;
+            out[c] = copy;
+        }
+    }
+
+    static Vector3<V> load(const float* const planes[3], int i) {
+        return {V::load(planes[0] + i), V::load(planes[1] + i), V::load(planes[2] + i)};
+    }
+
+    // One light on one vector of pixels, `strength` times f_r. Fills cells, lit, body.
+    void place_group(int g, unsigned lanes, const Vector3<V>& normal, const Vector3<V>& view,
+                     const V& cos_r, const Vector3<V>& light, const V& cos_i, const V& strength,
+                     typename V::Mask above) {
+        const Model& m = scene.model;
+        const int i = g * V::lanes;
+        const HalfAngles<V> half = half_angles(normal, light, view, cos_i, cos_r, lanes);
+        V weight = 0.0f;
+        if (m.table.values) {
+            V fa, fr, ft;
+            const V a = arctan(half.a), r = arctan(half.r), t = arctan(half.t);
+            weight = 1.0f;
+            V x = inside_box(m.table, 0, a + a, weight);
+            V y = inside_box(m.table, 1, r + r, weight);
+            V z = inside_box(m.table, 2, t + t, weight);
+            if (m.table.cuts[0]) {
+                y = cut(m.table, 1, y - x + m.table.box[0]);
+                x = cut(m.table, 0, x);
+                z = cut(m.table, 2, z);
+            }
+            x = node(m.table, 0, x, fa);
+            y = node(m.table, 1, y, fr);
+            z = node(m.table, 2, z, ft);
+            weight = select(above, weight * m.specular_gain, 0.0f);
+            fma(fma(x, V(m.table.nodes[1]), y), V(m.table.nodes[2]), z).store_int(cells.first + i);
+            const V gain = weight * strength;
+            const V high = gain * fa, low = gain * (V(1.0f) - fa), rest = V(1.0f) - fr;
+            (low * rest).store(cells.weight[0] + i);
+            (low * fr).store(cells.weight[1] + i);
+            (high * rest).store(cells.weight[2] + i);
+            (high * fr).store(cells.weight[3] + i);
+            (V(1.0f) - ft).store(cells.near + i);
+            ft.store(cells.far + i);
+            lit[g] = lanes & ~bits(both(weight <= 0.0f, V(0.0f) <= weight));
+            if (m.table.large) prefetch(g);
+        }
+        if (!m.has_diffuse) return;
+        const V share = select(above, V(m.diffuse_gain) - weight, 0.0f);
+        has_body[g] = bits(both(share <= 0.0f, V(0.0f) <= share)) != all_lanes(share);
+        if (!has_body[g]) return;
+        const IncidenceTerm<V> incidence(select(above, half.a, 0.0f));
+        for (int c = 0; c < 3; ++c) {
+            const V d = incidence.power(m.exponent[c]) * (cos_r * m.scale[c]);
+            (share * strength * d).store(body[c] + i);
+        }
+    }
+
+    // A large table lies in far caches: ask for its lines before they are needed.
+    void prefetch(int g) {
+        const Table& table = scene.model.table;
+        for (int i = g * V::lanes; i < (g + 1) * V::lanes; ++i) {
+            const float* p = table.values + 3L * cells.first[i];
+            ask_for(p);
+            ask_for(p + table.row);
+            ask_for(p + table.slab);
+            ask_for(p + table.slab + table.row);
+        }
+    }
+
+    void nothing_in(int g) {
+        lit[g] = 0;
+        has_body[g] = false;
+    }
+
+    // The table at every pixel that reads it. Where most lanes do, reading all is cheaper than asking.
+    void read_table() {
+        const Table table = scene.model.table;
+        const V any = 0.0f;
+        for (int g = 0; g < groups; ++g) {
+            const int i = g * V::lanes;
+            if (count_of(lit[g]) > V::lanes / 2)
+                for (int k = i; k < i + V::lanes; ++k) fetch(any, cells, k, table, rgb + 4 * k);
+            else
+                for (unsigned left = lit[g]; left != 0; left &= left - 1) {
+                    const int k = i + lowest(left);
+                    fetch(any, cells, k, table, rgb + 4 * k);
+                }
+        }
+    }
+
+    // The three channels of one vector of pixels, from the table and the diffuse part.
+    void collect(int g, V out[3]) {
+        planes(rgb + 4 * g * V::lanes, out[0], out[1], out[2]);
+        if (lit[g] != all_lanes(out[0])) {
+            const auto kept = lanes_in(lit[g], out[0]);
+            for (int c = 0; c < 3; ++c) out[c] = select(kept, out[c], 0.0f);
+        }
+        if (has_body[g])
+            for (int c = 0; c < 3; ++c) out[c] = out[c] + V::load(body[c] + g * V::lanes);
+    }
+
+    float* pixel(int channel) const {
+        return scene.image + ((image * 3 + channel) * scene.rows + row) * scene.columns + first;
+    }
+
+    void put(int g, const V out[3]) {
+        for (int c = 0; c < 3; ++c) {
+            float* to = pixel(c) + g * V::lanes;
+            if (!whole)
+                out[c].store(sum[c] + g * V::lanes);
+            else if (scene.stream && reinterpret_cast<std::uintptr_t>(to) % (4 * V::lanes) == 0)
+                out[c].stream(to);
+            else
+                out[c].store(to);
+        }
+    }
+
+    // A tile that is not whole was put into `sum`.
+    void spread() {
+        if (whole) return;
+        for (int c = 0; c < 3; ++c) {
+            float* to = pixel(c);
+            if (count < width)
+                for (int i = 0; i < width; ++i) to[i] = 0.0f;
+            for (int i = 0; i < count; ++i) to[at[i]] = sum[c][i];
+        }
+    }
+
+    // f_r of N, L and V, all three as maps.
+    void reflect() {
+        const float *normals[3], *lights[3], *views[3];
+        planes_of(scene.normal, 0, normals);
+        planes_of(scene.light, 1, lights);
+        planes_of(scene.view, 2, views);
+        for (int g = 0; g < groups; ++g) {
+            nothing_in(g);
+            const int i = g * V::lanes;
+            const Vector3<V> normal = unit(load(normals, i)), light = unit(load(lights, i));
+            const V cos_i = dot(normal, light);
+            const auto lit_lanes = V(0.0f) < cos_i;
+            if (bits(lit_lanes) == 0) continue;
+            const Vector3<V> view = unit(load(views, i));
+            const V cos_r = dot(normal, view);
+            const auto above = both(lit_lanes, V(0.0f) < cos_r);
+            const unsigned lanes = bits(above);
+            if (lanes == 0) continue;
+            place_group(g, lanes, normal, view, cos_r, light, cos_i, V(1.0f), above);
+        }
+        read_table();
+        for (int g = 0; g < groups; ++g) {
+            V out[3];
+            collect(g, out);
+            put(g, out);
+        }
+        spread();
+    }
+
+    // N and V of the pixels that the viewer sees.
+    void see() {
+        const float *normals[3], *views[3];
+        planes_of(scene.normal, 0, normals);
+        const Map& camera = scene.camera;
+        planes_of(camera.data ? scene.position : scene.view, 2, views);
+        for (int g = 0; g < groups; ++g) {
+            const int i = g * V::lanes;
+            for (int c = 0; c < 3; ++c) V(0.0f).store(sum[c] + i);
+            const Vector3<V> normal = unit(load(normals, i));
+            Vector3<V> view = load(views, i);
+            if (camera.data) {
+                const float* from = camera.data + image * camera.batch;
+                view = {V(from[0]) - view.x, V(from[camera.channel]) - view.y,
+                        V(from[2 * camera.channel]) - view.z};
+            }
+            view = unit(view);
+            const V cosine = dot(normal, view);
+            seen[g] = bits(V(0.0f) < cosine);
+            if (i + V::lanes > count) seen[g] &= count > i ? (1u << (count - i)) - 1 : 0u;
+            normal.x.store(n[0] + i), normal.y.store(n[1] + i), normal.z.store(n[2] + i);
+            view.x.store(v[0] + i), view.y.store(v[1] + i), view.z.store(v[2] + i);
+            cosine.store(n_v + i);
+        }
+    }
+
+    // Where the light is and how much of it arrives, without its colour (lights.py).
+    static Vector3<V> towards(const Light& light, const Vector3<V>& position, V& strength) {
+        const Vector3<V> to{V(light.at[0]) - position.x, V(light.at[1]) - position.y,
+                            V(light.at[2]) - position.z};
+        const V square = dot(to, to);
+        const auto apart = V(FLT_MIN) < square;
+        strength = select(apart, V(1.0f) / select(apart, square, 1.0f), 0.0f);
+        if (light.kind == spot) {
+            const Vector3<V> axis{light.axis[0], light.axis[1], light.axis[2]};
+            const V length = root(square * dot(axis, axis));
+            const V cosine = (V(0.0f) - dot(to, axis)) / greatest(length, FLT_MIN);
+            const V x = least(greatest((cosine - light.outer) / (light.inner - light.outer), 0.0f), 1.0f);
+            strength = strength * (x * x * fnma(V(2.0f), x, 3.0f));
+        }
+        return unit(to);
+    }
+
+    void add_light(const Light& light) {
+        const float* positions[3];
+        if (light.kind != directional) planes_of(scene.position, 3, positions);
+        for (int g = 0; g < groups; ++g) {
+            nothing_in(g);
+            if (seen[g] == 0) continue;
+            const int i = g * V::lanes;
+            const float *normals[3] = {n[0], n[1], n[2]}, *views[3] = {v[0], v[1], v[2]};
+            const Vector3<V> normal = load(normals, i);
+            V strength = 1.0f;
+            const Vector3<V> to = light.kind == directional
+                                      ? Vector3<V>{light.at[0], light.at[1], light.at[2]}
+                                      : towards(light, load(positions, i), strength);
+            const V cos_i = dot(normal, to), cos_r = V::load(n_v + i);
+            strength = strength * cos_i;
+            const auto above = both(V(0.0f) < strength, both(V(0.0f) < cos_i, V(0.0f) < cos_r));
+            const unsigned lanes = bits(above) & seen[g];
+            if (lanes == 0) continue;
+            strength = select(above, strength, 0.0f);
+            place_group(g, lanes, normal, load(views, i), cos_r, to, cos_i, strength, above);
+        }
+        read_table();
+        for (int g = 0; g < groups; ++g) {
+            if (lit[g] == 0 && !has_body[g]) continue;
+            V out[3];
+            collect(g, out);
+            for (int c = 0; c < 3; ++c) {
+                float* here = sum[c] + g * V::lanes;
+                fma(out[c], V(light.radiated[c]), V::load(here)).store(here);
+            }
+        }
+    }
+
+    // Σ f_r E cos θi, times the mask; what is not finite is 0.
+    void shade() {
+        if (count > 0) {
+            see();
+            for (int k = 0; k < scene.light_count; ++k) add_light(scene.lights[k * scene.batch + image]);
+        }
+        for (int g = 0; g < groups && (count > 0 || width == tile_pixels); ++g) {
+            V out[3];
+            for (int c = 0; c < 3; ++c) {
+                out[c] = count > 0 ? V::load(sum[c] + g * V::lanes) : V(0.0f);
+                out[c] = select(magnitude(out[c]) <= FLT_MAX, out[c], 0.0f);
+                if (scene.mask.data) out[c] = out[c] * V::load(masked + g * V::lanes);
+            }
+            put(g, out);
+        }
+        spread();
+    }
+};
+
+template <class V>
+void shade_tiles(const Scene& scene, long first_tile, long last_tile) {
+    const long across = tiles_per_row(scene);
+    for (long i = first_tile; i < last_tile; ++i) {
+        const long line = i / across;
+        Tile<V> tile(scene, line / scene.rows, line % scene.rows, i % across * tile_pixels);
+        tile.select_pixels();
+        if (scene.lit)
+            tile.shade();
+        else
+            tile.reflect();
+    }
+    V::fence();
+}
+
+}  // namespace raden

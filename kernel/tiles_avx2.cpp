@@ -1,0 +1,7 @@
+#include "vector_avx2.h"
+
+#include "tile.h"
+
+void raden::shade_tiles_avx2(const Scene& scene, long first_tile, long last_tile) {
+    shade_tiles<Avx2>(scene, first_tile, last_tile);
+}

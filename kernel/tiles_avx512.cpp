@@ -1,0 +1,7 @@
+#include "vector_avx512.h"
+
+#include "tile.h"
+
+void raden::shade_tiles_avx512(const Scene& scene, long first_tile, long last_tile) {
+    shade_tiles<Avx512>(scene, first_tile, last_tile);
+}

@@ -1,0 +1,7 @@
+#include "vector_portable.h"
+
+#include "tile.h"
+
+void raden::shade_tiles_portable(const Scene& scene, long first_tile, long last_tile) {
+    shade_tiles<Portable>(scene, first_tile, last_tile);
+}

@@ -1,0 +1,100 @@
+// 8 lanes of float in an AVX2 register. The same operations as the other vector_*.h.
+#pragma once
+#include <immintrin.h>
+
+#include "fetch_avx2.h"
+
+namespace raden {
+
+struct Avx2 {
+    static constexpr int lanes = 8;
+    struct Mask {
+        __m256 x;
+    };
+    __m256 x;
+
+    Avx2() = default;
+    Avx2(__m256 v) : x(v) {}
+    Avx2(float v) : x(_mm256_set1_ps(v)) {}
+    static Avx2 load(const float* p) { return _mm256_loadu_ps(p); }
+    void store(float* p) const { _mm256_storeu_ps(p, x); }
+    void stream(float* p) const { _mm256_stream_ps(p, x); }
+    static void fence() { _mm_sfence(); }
+    void store_int(int* p) const {
+        _mm256_storeu_si256(reinterpret_cast<__m256i*>(p), _mm256_cvttps_epi32(x));
+    }
+};
+
+inline Avx2 operator+(Avx2 a, Avx2 b) { return _mm256_add_ps(a.x, b.x); }
+inline Avx2 operator-(Avx2 a, Avx2 b) { return _mm256_sub_ps(a.x, b.x); }
+inline Avx2 operator*(Avx2 a, Avx2 b) { return _mm256_mul_ps(a.x, b.x); }
+inline Avx2 operator/(Avx2 a, Avx2 b) { return _mm256_div_ps(a.x, b.x); }
+inline Avx2::Mask operator<(Avx2 a, Avx2 b) { return {_mm256_cmp_ps(a.x, b.x, _CMP_LT_OQ)}; }
+inline Avx2::Mask operator<=(Avx2 a, Avx2 b) { return {_mm256_cmp_ps(a.x, b.x, _CMP_LE_OQ)}; }
+inline Avx2::Mask both(Avx2::Mask a, Avx2::Mask b) { return {_mm256_and_ps(a.x, b.x)}; }
+inline Avx2::Mask but_not(Avx2::Mask a, Avx2::Mask b) { return {_mm256_andnot_ps(b.x, a.x)}; }
+inline unsigned bits(Avx2::Mask m) { return static_cast<unsigned>(_mm256_movemask_ps(m.x)); }
+inline Avx2::Mask lanes_in(unsigned bits, const Avx2&) {
+    const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
+    const __m256i on = _mm256_and_si256(_mm256_set1_epi32(static_cast<int>(bits)), bit);
+    return {_mm256_castsi256_ps(_mm256_cmpeq_epi32(on, bit))};
+}
+
+inline Avx2 fma(Avx2 a, Avx2 b, Avx2 c) { return _mm256_fmadd_ps(a.x, b.x, c.x); }
+inline Avx2 fnma(Avx2 a, Avx2 b, Avx2 c) { return _mm256_fnmadd_ps(a.x, b.x, c.x); }
+inline Avx2 fms(Avx2 a, Avx2 b, Avx2 c) { return _mm256_fmsub_ps(a.x, b.x, c.x); }
+inline Avx2 root(Avx2 a) { return _mm256_sqrt_ps(a.x); }
+inline Avx2 magnitude(Avx2 a) { return _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a.x); }
+inline Avx2 least(Avx2 a, Avx2 b) { return _mm256_min_ps(a.x, b.x); }     // b where a is NaN
+inline Avx2 greatest(Avx2 a, Avx2 b) { return _mm256_max_ps(a.x, b.x); }  // b where a is NaN
+inline Avx2 floor_of(Avx2 a) { return _mm256_floor_ps(a.x); }
+inline Avx2 nearest(Avx2 a) {
+    return _mm256_round_ps(a.x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC);
+}
+inline Avx2 select(Avx2::Mask m, Avx2 a, Avx2 b) { return _mm256_blendv_ps(b.x, a.x, m.x); }
+inline Avx2 negated_where(Avx2::Mask m, Avx2 a) {
+    return _mm256_xor_ps(a.x, _mm256_and_ps(m.x, _mm256_set1_ps(-0.0f)));
+}
+
+// p[i] for whole i.
+inline Avx2 lookup(const float* p, Avx2 i) {
+    return _mm256_i32gather_ps(p, _mm256_cvttps_epi32(i.x), 4);
+}
+
+// x = m 2^e with m in [0.75, 1.5), for normal x > 0.
+inline Avx2 split(Avx2 x, Avx2& e) {
+    const __m256i raw = _mm256_castps_si256(x.x);
+    // adding a quarter carries mantissas from 1.5 on into the exponent
+    const __m256i up = _mm256_add_epi32(raw, _mm256_set1_epi32(0x400000));
+    const __m256i exponent = _mm256_sub_epi32(_mm256_srli_epi32(up, 23), _mm256_set1_epi32(127));
+    e = _mm256_cvtepi32_ps(exponent);
+    return _mm256_castsi256_ps(_mm256_sub_epi32(raw, _mm256_slli_epi32(exponent, 23)));
+}
+
+// x 2^n for whole n; 0 where that is too small.
+inline Avx2 scaled(Avx2 x, Avx2 n) {
+    const Avx2 kept = least(greatest(n, -126.0f), 127.0f);
+    const __m256i power = _mm256_slli_epi32(
+        _mm256_add_epi32(_mm256_cvtps_epi32(kept.x), _mm256_set1_epi32(127)), 23);
+    return select(n < -126.0f, Avx2(0.0f), x * Avx2(_mm256_castsi256_ps(power)));
+}
+
+// 8 pixels of (r, g, b, ·) → three planes.
+inline void planes(const float* rgb, Avx2& r, Avx2& g, Avx2& b) {
+    const auto pair = [rgb](int i) {  // pixels i and i + 4
+        return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_load_ps(rgb + 4 * i)),
+                                    _mm_load_ps(rgb + 4 * i + 16), 1);
+    };
+    const __m256 p0 = pair(0), p1 = pair(1), p2 = pair(2), p3 = pair(3);
+    const __m256 low01 = _mm256_unpacklo_ps(p0, p1), low23 = _mm256_unpacklo_ps(p2, p3);
+    const __m256 high01 = _mm256_unpackhi_ps(p0, p1), high23 = _mm256_unpackhi_ps(p2, p3);
+    r = _mm256_shuffle_ps(low01, low23, 0x44);
+    g = _mm256_shuffle_ps(low01, low23, 0xee);
+    b = _mm256_shuffle_ps(high01, high23, 0x44);
+}
+
+inline void fetch(const Avx2&, const Cells& cells, int i, const Table& table, float* rgb) {
+    fetch_avx2(cells, i, table, rgb);
+}
+
+}  // namespace raden

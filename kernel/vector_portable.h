@@ -1,0 +1,125 @@
+// 8 lanes of float in an array: loops that any compiler can turn into what its machine has.
+#pragma once
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+
+#include "scene.h"
+
+namespace raden {
+
+struct Portable {
+    static constexpr int lanes = 8;
+    struct Mask {
+        std::int32_t x[lanes];  // −1 or 0
+    };
+    float x[lanes];
+
+    Portable() = default;
+    Portable(float v) {
+        for (float& lane : x) lane = v;
+    }
+    static Portable load(const float* p) {
+        Portable v;
+        std::memcpy(v.x, p, sizeof v.x);
+        return v;
+    }
+    void store(float* p) const { std::memcpy(p, x, sizeof x); }
+    void stream(float* p) const { store(p); }
+    static void fence() {}
+    void store_int(int* p) const {
+        // NaN and what is out of range may only come from lanes that are not read
+        for (int i = 0; i < lanes; ++i) p[i] = x[i] > -1.0f && x[i] < 1e9f ? static_cast<int>(x[i]) : 0;
+    }
+};
+
+template <class F>
+inline Portable lanewise(F f) {
+    Portable v;
+    for (int i = 0; i < Portable::lanes; ++i) v.x[i] = f(i);
+    return v;
+}
+template <class F>
+inline Portable::Mask maskwise(F f) {
+    Portable::Mask m;
+    for (int i = 0; i < Portable::lanes; ++i) m.x[i] = -static_cast<std::int32_t>(f(i));
+    return m;
+}
+
+using P = const Portable&;
+using PM = const Portable::Mask&;
+inline Portable operator+(P a, P b) { return lanewise([&](int i) { return a.x[i] + b.x[i]; }); }
+inline Portable operator-(P a, P b) { return lanewise([&](int i) { return a.x[i] - b.x[i]; }); }
+inline Portable operator*(P a, P b) { return lanewise([&](int i) { return a.x[i] * b.x[i]; }); }
+inline Portable operator/(P a, P b) { return lanewise([&](int i) { return a.x[i] / b.x[i]; }); }
+inline Portable::Mask operator<(P a, P b) { return maskwise([&](int i) { return a.x[i] < b.x[i]; }); }
+inline Portable::Mask operator<=(P a, P b) { return maskwise([&](int i) { return a.x[i] <= b.x[i]; }); }
+inline Portable::Mask both(PM a, PM b) { return maskwise([&](int i) { return (a.x[i] & b.x[i]) != 0; }); }
+inline Portable::Mask but_not(PM a, PM b) { return maskwise([&](int i) { return (a.x[i] & ~b.x[i]) != 0; }); }
+inline unsigned bits(PM m) {
+    unsigned all = 0;
+    for (int i = 0; i < Portable::lanes; ++i) all |= static_cast<unsigned>(m.x[i] & 1) << i;
+    return all;
+}
+
+inline Portable::Mask lanes_in(unsigned bits, P) { return maskwise([&](int i) { return (bits >> i & 1) != 0; }); }
+
+inline Portable fma(P a, P b, P c) { return a * b + c; }
+inline Portable fnma(P a, P b, P c) { return c - a * b; }
+inline Portable fms(P a, P b, P c) { return a * b - c; }
+inline Portable root(P a) { return lanewise([&](int i) { return std::sqrt(a.x[i]); }); }
+inline Portable magnitude(P a) { return lanewise([&](int i) { return std::fabs(a.x[i]); }); }
+inline Portable least(P a, P b) { return lanewise([&](int i) { return a.x[i] < b.x[i] ? a.x[i] : b.x[i]; }); }
+inline Portable greatest(P a, P b) { return lanewise([&](int i) { return a.x[i] > b.x[i] ? a.x[i] : b.x[i]; }); }
+inline Portable floor_of(P a) { return lanewise([&](int i) { return std::floor(a.x[i]); }); }
+inline Portable nearest(P a) { return lanewise([&](int i) { return std::nearbyint(a.x[i]); }); }
+inline Portable select(PM m, P a, P b) { return lanewise([&](int i) { return m.x[i] ? a.x[i] : b.x[i]; }); }
+inline Portable negated_where(PM m, P a) { return lanewise([&](int i) { return m.x[i] ? -a.x[i] : a.x[i]; }); }
+
+// p[i] for whole i.
+inline Portable lookup(const float* p, P i) {
+    return lanewise([&](int k) { return p[static_cast<int>(i.x[k])]; });
+}
+
+// x = m 2^e with m in [0.75, 1.5), for normal x > 0.
+inline Portable split(P x, Portable& e) {
+    return lanewise([&](int i) {
+        std::int32_t raw;
+        std::memcpy(&raw, &x.x[i], sizeof raw);
+        // adding a quarter carries mantissas from 1.5 on into the exponent
+        const std::int32_t exponent = ((raw + 0x400000) >> 23) - 127;
+        e.x[i] = static_cast<float>(exponent);
+        raw -= static_cast<std::int32_t>(static_cast<std::uint32_t>(exponent) << 23);
+        float m;
+        std::memcpy(&m, &raw, sizeof m);
+        return m;
+    });
+}
+
+// x 2^n for whole n; 0 where that is too small.
+inline Portable scaled(P x, P n) {
+    return lanewise([&](int i) {
+        return n.x[i] < -126.0f ? 0.0f : std::ldexp(x.x[i], static_cast<int>(n.x[i]));
+    });
+}
+
+// 8 pixels of (r, g, b, ·) → three planes.
+inline void planes(const float* rgb, Portable& r, Portable& g, Portable& b) {
+    r = lanewise([&](int i) { return rgb[4 * i]; });
+    g = lanewise([&](int i) { return rgb[4 * i + 1]; });
+    b = lanewise([&](int i) { return rgb[4 * i + 2]; });
+}
+
+inline void fetch(P, const Cells& cells, int i, const Table& table, float* rgb) {
+    const float* p = table.values + 3L * cells.first[i];
+    for (int c = 0; c < 3; ++c) {
+        const auto across = [&](long at) {
+            return cells.weight[0][i] * p[at] + cells.weight[1][i] * p[table.row + at] +
+                   cells.weight[2][i] * p[table.slab + at] +
+                   cells.weight[3][i] * p[table.slab + table.row + at];
+        };
+        rgb[c] = cells.near[i] * across(c) + cells.far[i] * across(c + 3);
+    }
+}
+
+}  // namespace raden

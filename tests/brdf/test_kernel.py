@@ -1,0 +1,466 @@
+"""The fused kernel against the eager form: accuracy by region, layouts, threads, and torch."""
+
+from __future__ import annotations
+
+import copy
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import torch
+
+import raden_torch as rt
+from raden_torch.brdf import kernel
+from raden_torch.brdf.model import CosineDiffuse
+from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.errors import InputError
+
+needs_kernel = pytest.mark.skipif(not kernel.LEVELS, reason="the kernel was not built here")
+pytestmark = needs_kernel
+
+Maps = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+@pytest.fixture(scope="module")
+def model() -> rt.RadenBrdf:
+    """A small random model: every branch is reached, nothing is smooth."""
+    generator = torch.Generator().manual_seed(0)
+    table = torch.rand(8, 15, 15, 3, generator=generator)
+    table[0] = (table[0] + table[0].flip(0, 1)) / 2  # (0, r, t) and (0, -r, -t) are one geometry
+    diffuse = CosineDiffuse(torch.tensor([0.1, 0.2, 0.3]), torch.tensor([0.5, 1.0, 2.0]))
+    return rt.RadenBrdf(diffuse, ReflectanceTable(table, (0.0, -70.0, -70.0), (10.0, 10.0, 10.0)))
+
+
+@pytest.fixture(params=kernel.LEVELS)
+def level(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def evaluate(model: rt.RadenBrdf, maps: Maps, level: str) -> torch.Tensor:
+    with torch.no_grad(), kernel.using(level):
+        return model(*maps)
+
+
+def directions(n: int, seed: int, spread: float = 1.0) -> torch.Tensor:
+    generator = torch.Generator().manual_seed(seed)
+    v = torch.randn(1, 3, n, 1, generator=generator, dtype=torch.float64) * spread
+    v[:, 2] = v[:, 2].abs() + 0.05
+    return torch.nn.functional.normalize(v, dim=1)
+
+
+def unit(v: torch.Tensor) -> torch.Tensor:
+    return torch.nn.functional.normalize(v, dim=1)
+
+
+COUNT = 20_000
+
+
+def almost_parallel(distance: float) -> Callable[[], Maps]:
+    def make() -> Maps:
+        n, l = directions(COUNT, 1), directions(COUNT, 2)  # noqa: E741
+        return n, l, unit(l + distance * (directions(COUNT, 3) - directions(COUNT, 4)))
+
+    return make
+
+
+def in_the_plane() -> Maps:
+    l, v = directions(COUNT, 2), directions(COUNT, 3)  # noqa: E741
+    share = torch.rand(1, 1, COUNT, 1, dtype=torch.float64)
+    return unit(share * l + (1 - share) * v), l, v
+
+
+def almost_across_the_plane() -> Maps:
+    l, v = directions(COUNT, 2), directions(COUNT, 3)  # noqa: E741
+    n = torch.linalg.cross(l, v, dim=1)
+    return unit(unit(n) + 0.05 * (l + v)), l, v
+
+
+def grazing() -> Maps:
+    n, l, v = (directions(COUNT, seed) for seed in (1, 2, 3))  # noqa: E741
+    along = unit(l - (n * l).sum(1, keepdim=True) * n)
+    return n, unit(along + 1e-3 * n), v
+
+
+def at_nodes() -> Maps:
+    generator = torch.Generator().manual_seed(5)
+    a, r, t = (
+        torch.deg2rad(10.0 * torch.randint(low, 8, (1, 1, COUNT, 1), generator=generator).double())
+        for low in (0, -7, -7)
+    )
+    return rt.vectors_from_angles(a.clamp(min=0.01), r, t)
+
+
+REGIONS: dict[str, Callable[[], Maps]] = {
+    "random": lambda: (directions(COUNT, 1), directions(COUNT, 2), directions(COUNT, 3)),
+    "near the normal": lambda: tuple(directions(COUNT, seed, 0.05) for seed in (1, 2, 3)),
+    "grazing": grazing,
+    "N in the plane": in_the_plane,
+    "N almost across the plane": almost_across_the_plane,
+    "at nodes": at_nodes,
+    **{f"|L - V| = {d:g}": almost_parallel(d) for d in (1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 0.1)},
+}
+
+
+@pytest.mark.parametrize("region", REGIONS)
+@pytest.mark.parametrize("length", [1.0, 3.7])
+def test_error_is_at_most_twice_that_of_the_eager_form(model, level, region, length) -> None:
+    """Both against float64 on the same single-precision inputs."""
+    maps = tuple((length * m).float() for m in REGIONS[region]())
+    exact = model(*(m.double() for m in maps)).detach()
+    kernels = (evaluate(model, maps, level) - exact).abs().flatten()
+    eagers = (evaluate(model, maps, kernel.OFF) - exact).abs().flatten()
+    rounding = 1e-7
+    assert kernels.mean() <= 2 * eagers.mean() + rounding
+    for share in (0.9, 0.999):
+        assert kernels.quantile(share) <= 2 * eagers.quantile(share) + rounding
+
+
+def test_special_vectors_are_as_in_the_eager_form(model, level) -> None:
+    inf, nan = float("inf"), float("nan")
+    special = torch.tensor(
+        [
+            *([0, 0, 1], [0, 0, -1], [1, 0, 0], [0.6, 0, 0.8], [1e-8, 0, 1], [1, 0, 1e-8]),
+            *([0, 0, 0], [nan, 0, 1], [0, 0, inf], [-inf, inf, nan], [0, -0.0, -inf]),
+            *(
+                [1e-40, 0, 1e-40],
+                [0, 1e-45, 0],
+                [3e38, 0, 3e38],
+                [0, 1e20, 1e20],
+                [1e-25, 0, 1e-24],
+            ),
+        ]
+    ).T
+    n = special.shape[1]
+    maps = tuple(
+        special.view(3, *shape).expand(3, n, n, n).reshape(1, 3, -1, n)
+        for shape in ((n, 1, 1), (1, n, 1), (1, 1, n))
+    )
+    found, expected = (evaluate(model, maps, which) for which in (level, kernel.OFF))
+    assert torch.isfinite(found).all()
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-6)
+    invalid = ~torch.isfinite(special).all(0) | (special == 0).all(0)
+    some = invalid.view(-1, 1, 1) | invalid.view(1, -1, 1) | invalid.view(1, 1, -1)
+    assert (found[:, :, some.reshape(-1, n)] == 0).all()
+
+
+def test_nothing_is_seen_or_lit_below_the_horizon(model, level) -> None:
+    up, above = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1), directions(500, 1).float()
+    assert (evaluate(model, (up, above, above.flip(2)), level) != 0).any()
+    for light, view in ((-above, above), (above, -above), (-above, -above)):
+        assert (evaluate(model, (up, light, view), level) == 0).all()
+
+
+@pytest.mark.parametrize("gains", [(1.0, 1.0), (0.5, 2.0), (0.0, 1.0), (1.0, 0.0), (0.0, 0.0)])
+@pytest.mark.parametrize("parts", ["both", "diffuse", "table", "neither"])
+def test_gains_and_missing_parts(model, level, gains, parts) -> None:
+    diffuse = model.diffuse if parts in ("both", "diffuse") else None
+    table = model.table if parts in ("both", "table") else None
+    part = rt.RadenBrdf(diffuse, table, diffuse_gain=gains[0], specular_gain=gains[1])
+    maps = tuple(m.float() for m in REGIONS["random"]())
+    found, expected = (evaluate(part, maps, which) for which in (level, kernel.OFF))
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=2e-5)
+
+
+def test_a_baked_table_is_read_as_in_the_eager_form(level) -> None:
+    pieces = ((1, 4, 2), (1, 2, 3, 4, 4, 3, 2, 1, 1), (3, 1, 1, 2, 2, 3))
+    generator = torch.Generator().manual_seed(8)
+    values = torch.rand(*(1 + sum(cuts) for cuts in pieces), 3, generator=generator)
+    table = ReflectanceTable(values, (0.0, -70.0, -60.0), (20.0, 20.0, 20.0), pieces)
+    baked = rt.RadenBrdf(CosineDiffuse(torch.ones(3), torch.ones(3)), table)
+    maps = tuple(m.float() for m in REGIONS["random"]())
+    exact = baked(*(m.double() for m in maps)).detach()
+    found, eager = (evaluate(baked, maps, which) - exact for which in (level, kernel.OFF))
+    assert found.abs().mean() <= 2 * eager.abs().mean()
+    assert found.abs().quantile(0.999) <= 2 * eager.abs().quantile(0.999)
+
+
+def image_maps(height: int = 37, width: int = 101) -> Maps:
+    return tuple(
+        directions(2 * height * width, seed).float().reshape(3, 2, height, width).transpose(0, 1)
+        for seed in (1, 2, 3)
+    )
+
+
+def test_layouts_do_not_matter(model, level) -> None:
+    """Each pixel's value depends on nothing but its own vectors: equal bit for bit."""
+    maps = tuple(m.contiguous() for m in image_maps())
+    whole = evaluate(model, maps, level)
+    layouts = {
+        "channels last": lambda m: m.contiguous(memory_format=torch.channels_last),
+        "transposed": lambda m: m.transpose(2, 3).contiguous().transpose(2, 3),
+        "every other column": lambda m: m.repeat_interleave(2, 3)[..., ::2],
+        "part of a larger image": lambda m: torch.nn.functional.pad(m, (3, 5, 2, 1))[
+            ..., 2:-1, 3:-5
+        ],
+        "misaligned": lambda m: torch.cat([m.new_zeros(1), m.flatten()])[1:].view(m.shape),
+    }
+    for layout in layouts.values():
+        assert torch.equal(evaluate(model, tuple(layout(m) for m in maps), level), whole)
+    crop = evaluate(model, tuple(m[:1, :, 5:6, 7:30] for m in maps), level)
+    assert torch.equal(crop, whole[:1, :, 5:6, 7:30])
+    column = evaluate(model, tuple(m[0, :, :, 9:10] for m in maps), level)
+    assert torch.equal(column, whole[0, :, :, 9:10])
+    stacked = evaluate(model, tuple(m.view(2, 1, 3, 37, 101) for m in maps), level)
+    assert torch.equal(stacked, whole.view(2, 1, 3, 37, 101))
+
+
+def test_constant_maps_are_broadcast_not_expanded(model, level) -> None:
+    normal, light, view = image_maps()
+    for shape in (
+        (slice(0, 1), slice(0, 1)),
+        (slice(None), slice(0, 1)),
+        (slice(0, 1), slice(None)),
+    ):
+        few_l, few_v = (m[:1, :, shape[0], shape[1]] for m in (light, view))
+        found = evaluate(model, (normal, few_l, few_v), level)
+        full = tuple(m.expand_as(normal).contiguous() for m in (few_l, few_v))
+        assert torch.equal(found, evaluate(model, (normal, *full), level))
+
+
+@pytest.mark.parametrize("shape", [(0, 3, 4, 4), (1, 3, 0, 4), (2, 3, 4, 0), (3, 0, 1)])
+def test_no_pixels(model, shape) -> None:
+    maps = (torch.ones(shape), torch.ones(3, 1, 1), torch.ones(3, 1, 1))
+    assert evaluate(model, maps, kernel.LEVELS[-1]).shape == shape
+
+
+def test_dtypes(model) -> None:
+    maps = image_maps(5, 7)
+    mixed = (maps[0].half(), maps[1].bfloat16(), maps[2])
+    found = evaluate(model, mixed, kernel.LEVELS[-1])
+    assert found.dtype == torch.float32
+    assert torch.equal(found, evaluate(model, tuple(m.float() for m in mixed), kernel.LEVELS[-1]))
+    doubled = (maps[0].double(), *maps[1:])
+    assert evaluate(model, doubled, kernel.LEVELS[-1]).dtype == torch.float64
+    half = copy.deepcopy(model).bfloat16()
+    torch.testing.assert_close(
+        evaluate(half, maps, kernel.LEVELS[-1]), evaluate(half, maps, kernel.OFF),
+        rtol=1e-5, atol=2e-5,
+    )  # fmt: skip
+
+
+def test_wrong_devices_are_one_line(model) -> None:
+    maps = [m.to("meta") for m in image_maps(4, 4)]
+    with pytest.raises(InputError, match=r"^model .* on cpu, maps on meta.*wanted[^\n]*$"):
+        model(*maps)
+    with pytest.raises(InputError, match=r"^normal on cpu, light on meta[^\n]*wanted$"):
+        model(image_maps(4, 4)[0], *maps[1:])
+    assert copy.deepcopy(model).to("meta")(*maps).shape == (2, 3, 4, 4)
+
+
+def large_maps() -> Maps:
+    return tuple(m.repeat(1, 1, 4, 4) for m in image_maps())
+
+
+def test_any_number_of_threads_gives_the_same_bits(model, level) -> None:
+    before = torch.get_num_threads()
+    try:
+        images = []
+        for threads in (1, 2, 64):
+            torch.set_num_threads(threads)
+            images.append(evaluate(model, large_maps(), level))
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(image, images[0]) for image in images)
+
+
+def test_callers_at_the_same_time(model) -> None:
+    maps = large_maps()
+    expected, found = evaluate(model, maps, kernel.LEVELS[-1]), []
+
+    def call() -> None:
+        with torch.no_grad():
+            for _ in range(5):
+                found.append(torch.equal(model(*maps), expected))
+
+    callers = [threading.Thread(target=call) for _ in range(4)]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join(60)
+    assert found == [True] * 20
+
+
+def test_a_forked_child_has_threads_of_its_own(tmp_path: Path) -> None:
+    script = tmp_path / "fork.py"
+    script.write_text(
+        "import os, torch, raden_torch as rt\n"
+        "from raden_torch.brdf import kernel\n"
+        "from raden_torch.brdf.table import ReflectanceTable\n"
+        "torch.set_num_threads(2)\n"
+        "t = ReflectanceTable(torch.rand(3, 3, 3, 3), (0., -70., -70.), (35., 70., 70.))\n"
+        "model, up = rt.RadenBrdf(None, t), torch.tensor([0., 0., 1.]).view(1, 3, 1, 1)\n"
+        "maps = [up + 0.2 * torch.rand(1, 3, 300, 300) for _ in range(3)]\n"
+        "with torch.no_grad():\n"
+        "    first = kernel.brdf(model, *maps)\n"
+        "    child = os.fork()\n"
+        "    same = bool((kernel.brdf(model, *maps).numpy() == first.numpy()).all())\n"
+        "if child == 0:\n"
+        "    os._exit(0 if same else 1)\n"
+        "assert same and os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0\n"
+    )
+    subprocess.run([sys.executable, "-W", "ignore", script], check=True, timeout=120)
+
+
+def operator_arguments(model: rt.RadenBrdf, maps: Maps, **flags: bool) -> tuple[object, ...]:
+    tensors = tuple(m.clone().requires_grad_(flags.get("gradients", False)) for m in maps)
+    return (*tensors, *kernel._arguments(model))
+
+
+def test_the_operators_are_registered_as_torch_wants_them(model) -> None:
+    maps = image_maps(3, 5)
+    with torch.no_grad():
+        detached = copy.deepcopy(model).requires_grad_(False)
+        arguments = operator_arguments(detached, maps)
+    tests = ("test_schema", "test_autograd_registration", "test_faketensor")
+    torch.library.opcheck(torch.ops.raden_torch.brdf.default, arguments, test_utils=tests)
+    torch.library.opcheck(
+        torch.ops.raden_torch.brdf.default,
+        operator_arguments(model, maps, gradients=True),
+        test_utils=tests,
+    )
+    lamps = torch.rand(2, 1, 12)
+    lamps[..., 0] = 0
+    torch.library.opcheck(
+        torch.ops.raden_torch.shade.default,
+        (maps[0], maps[1], None, None, maps[2][:, :1], lamps, *arguments[3:]),
+        test_utils=tests,
+    )
+
+
+def test_gradients_of_the_operator_are_those_of_the_eager_form(model) -> None:
+    arguments = operator_arguments(model, image_maps(3, 5), gradients=True)
+    tensors = [x for x in arguments if isinstance(x, torch.Tensor)]
+    by_operator = torch.autograd.grad(
+        torch.ops.raden_torch.brdf(*arguments).square().sum(), tensors
+    )
+    by_eager = torch.autograd.grad(model(*tensors[:3]).square().sum(), tensors)
+    for found, expected in zip(by_operator, by_eager, strict=True):
+        torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3)
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
+def test_gradients_asked_for_take_the_eager_form(model) -> None:
+    maps = image_maps(3, 5)
+    assert model(*maps).requires_grad
+    frozen = copy.deepcopy(model).requires_grad_(False)
+    assert kernel.takes(frozen, *maps)
+    assert not kernel.takes(frozen, maps[0].clone().requires_grad_(), *maps[1:])
+    f, slope = torch.func.jvp(lambda n: frozen(n, *maps[1:]), (maps[0],), (maps[1],))
+    assert f.shape == slope.shape
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")
+def test_compile_and_export_see_one_operator(model) -> None:
+    maps = image_maps(3, 5)
+    with torch.no_grad():
+        expected = model(*maps)
+        program = torch.export.export(model, maps)
+        assert "raden_torch.brdf" in str(program.graph)
+        assert torch.equal(program.module()(*maps), expected)
+        compiled = torch.compile(model, backend="aot_eager", fullgraph=True)
+        assert torch.equal(compiled(*maps), expected)
+
+
+def test_off_takes_the_eager_form(model, monkeypatch: pytest.MonkeyPatch) -> None:
+    maps = image_maps(3, 5)
+    with torch.no_grad(), kernel.using(kernel.OFF):
+        assert not kernel.takes(model, *maps)
+        assert "eager torch: RADEN_TORCH_SIMD=off" in kernel.system_report()
+    monkeypatch.setattr(kernel, "LEVELS", ())
+    monkeypatch.setattr(kernel, "_level", kernel.OFF)
+    assert "was not built" in kernel.system_report()
+    with torch.no_grad():
+        assert model(*maps).shape == maps[0].shape
+
+
+@pytest.mark.parametrize(("asked", "code"), [("portable", 0), ("off", 0), ("sse9", 2)])
+def test_the_environment_chooses_the_instruction_set(asked: str, code: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "raden_torch.cli", "info", "--system"],
+        env={**os.environ, kernel.VARIABLE: asked},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+    assert done.returncode == code
+    assert asked in (done.stderr if code else done.stdout)
+    assert len(done.stderr.splitlines()) == (1 if code else 0)
+
+
+SCENES = {
+    "directional": [rt.DirectionalLight((0.3, 0.2, 1.0), (1.0, 2.0, 3.0))],
+    "point": [rt.PointLight((0.3, 0.2, 2.0), (3.0, 2.0, 1.0))],
+    "spot": [rt.SpotLight((0.3, 0.2, 2.0), (0.0, 0.0, 0.0), inner_deg=5, outer_deg=40)],
+    "several": [
+        rt.DirectionalLight(torch.tensor([[1.0, 0.0, 1.0], [0.0, 1.0, 1.0]])),
+        rt.DirectionalLight((0.0, 0.0, -1.0)),
+        rt.PointLight((0.0, 0.5, 1.0)),
+    ],
+    "none": [],
+}
+
+
+def scene(camera: bool = True, mask: torch.Tensor | None = None) -> rt.GBuffer:
+    normal = image_maps()[0] + torch.tensor([0.0, 0.0, 1.0]).view(3, 1, 1)
+    generator = torch.Generator().manual_seed(6)
+    position = torch.rand(normal.shape, generator=generator) - 0.5
+    view = None if camera else (0.2, 0.1, 1.0)
+    return rt.GBuffer(
+        normal, view, position=position, camera=(0.0, 0.0, 3.0) if camera else None, mask=mask
+    )
+
+
+def lit(model: rt.RadenBrdf, gbuffer: rt.GBuffer, lights, level: str) -> torch.Tensor:
+    with torch.no_grad(), kernel.using(level):
+        return rt.shade(model, gbuffer, lights)
+
+
+@pytest.mark.parametrize("camera", [True, False])
+@pytest.mark.parametrize("lights", SCENES)
+def test_shade_is_as_the_eager_form(model, level, lights, camera) -> None:
+    gbuffer = scene(camera)
+    found, expected = (lit(model, gbuffer, SCENES[lights], which) for which in (level, kernel.OFF))
+    assert found.shape == expected.expand_as(found).shape
+    torch.testing.assert_close(found, expected.expand_as(found), rtol=1e-4, atol=3e-5)
+
+
+def sparse_masks() -> dict[str, torch.Tensor]:
+    generator = torch.Generator().manual_seed(7)
+    scattered = (torch.rand(2, 1, 37, 101, generator=generator) < 0.1).float()
+    block = torch.zeros(1, 1, 37, 101)
+    block[..., 5:20, 10:90] = 0.5
+    return {
+        "scattered": scattered,
+        "block": block,
+        "nothing": torch.zeros(1, 1, 1, 1),
+        "bool": scattered.bool(),
+        "one row": block[..., 7:8, :],
+        "not finite": torch.where(scattered > 0, float("nan"), 2.0),
+    }
+
+
+@pytest.mark.parametrize("mask", sparse_masks())
+def test_skipped_pixels_change_nothing(model, level, mask) -> None:
+    """Bit for bit the whole image times the mask."""
+    kept = sparse_masks()[mask]
+    whole = lit(model, scene(), SCENES["several"], level)
+    found = lit(model, scene(mask=kept), SCENES["several"], level)
+    weight = torch.nan_to_num(kept.float(), nan=0.0).clamp(0, 1)
+    assert torch.equal(found, whole * weight)
+    torch.testing.assert_close(
+        found, lit(model, scene(mask=kept), SCENES["several"], kernel.OFF), rtol=1e-4, atol=3e-5
+    )
+
+
+def test_wrong_batches_of_lights_are_one_line(model) -> None:
+    lights = rt.DirectionalLight(torch.ones(3, 3))
+    with pytest.raises(InputError, match=r"^[^\n]*broadcast[^\n]*$"):
+        lit(model, scene(), lights, kernel.LEVELS[-1])
+    no_position = rt.GBuffer(scene().normal, view=(0.0, 0.0, 1.0))
+    with pytest.raises(InputError, match="needs the G-buffer's position"):
+        lit(model, no_position, rt.PointLight((0.0, 0.0, 1.0)), kernel.LEVELS[-1])
