@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf import kernel
 from raden_torch.brdf.fit import fit
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.interpolation import SCHEMES
@@ -98,8 +99,7 @@ def run_bench(
     for name, result in models.items():
         accuracy = score(result.model, readings)
         delta_e = sphere_delta_e(result.model) if simulated else float("nan")
-        shaders = {k: v for k, v in backends(result.model).items()}
-        for backend, ratio in _ratios(shaders, vectors).items():
+        for backend, ratio in _ratios(backends(result.model), vectors).items():
             rows.append(
                 Row(
                     scheme=name,
@@ -124,8 +124,12 @@ def run_bench(
         "rows": [_jsonable(asdict(row)) for row in rows],
         "scaling": _scaling(default),
         "stability": {
-            name: asdict(error)
-            for name, error in worst_errors(_no_grad(default), _no_grad(default)).items()
+            backend: {
+                region: asdict(error)
+                for region, error in worst_errors(shader, _no_grad(default)).items()
+            }
+            for backend, shader in backends(default).items()
+            if backend != "naive"
         },
     }
     out.mkdir(parents=True, exist_ok=True)
@@ -158,7 +162,8 @@ def frame_vectors(height: int, width: int) -> tuple[Tensor, Tensor, Tensor]:
 
 def backends(model: RadenBrdf) -> dict[str, Shader]:
     """Every way of this machine to evaluate a model without gradients."""
-    found: dict[str, Shader] = {"eager": _no_grad(model)}
+    found = {level: _no_grad(model, level) for level in reversed(kernel.LEVELS)}
+    found["eager"] = _no_grad(model, kernel.OFF)
     if model.table is not None and model.table.pieces is None:
         found["naive"] = naive_form(model)
     return found
@@ -242,9 +247,11 @@ def machine() -> dict[str, Any]:
     }
 
 
-def _no_grad(model: RadenBrdf) -> Shader:
+def _no_grad(model: RadenBrdf, level: str | None = None) -> Shader:
+    """The model without gradients, by the kernel's instruction set; by what it takes where None."""
+
     def shader(normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
-        with torch.no_grad():
+        with torch.no_grad(), kernel.using(level or kernel.level()):
             return model(normal, light, view)
 
     return shader
@@ -309,7 +316,7 @@ def _plot(rows: list[Row], chosen: str, measurement: BrdfMeasurement, path: Path
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11, 4.8), layout="constrained")
-    markers = dict(zip(sorted({row.backend for row in rows}), "osD^v", strict=False))
+    markers = dict(zip(dict.fromkeys(row.backend for row in rows), "osD^v", strict=False))
     colours = dict(
         zip(SCHEMES, ("#444444", "#0072b2", "#56b4e9", "#e69f00", "#009e73"), strict=True)
     )

@@ -24,6 +24,8 @@ from raden_torch.brdf.plate import plate
 from raden_torch.brdf.score import score
 from raden_torch.brdf.shade import shade
 from raden_torch.errors import InputError
+from raden_torch.export.check import ExportReport
+from raden_torch.export.export import export_onnx
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.optics import simulate_specimen
@@ -76,10 +78,13 @@ def run_demo(out: Path, *, size: int = 512) -> Path:
             step("relighting a photograph", lambda: _relit(result, out, size // 2)),
             step("drawing the graphs", lambda: _graphs(measurement, out)),
         ]
+        exported = step("exporting to ONNX", lambda: export_onnx(result.model, out / "shell.onnx"))
     seconds = time.perf_counter() - started
     page = out / "index.html"
     with written_beside(page) as temporary:
-        temporary.write_text(_page(measurement, result, off_grid, figures, seconds), "utf-8")
+        temporary.write_text(
+            _page(measurement, result, off_grid, exported, figures, seconds), "utf-8"
+        )
     return page
 
 
@@ -179,6 +184,7 @@ def _page(
     measurement: BrdfMeasurement,
     result: FitResult,
     off_grid: str,
+    exported: ExportReport,
     figures: list[Figure],
     seconds: float,
 ) -> str:
@@ -187,7 +193,9 @@ def _page(
         f"<figcaption><b>{html.escape(f.title)}.</b> {html.escape(f.text)}</figcaption></figure>"
         for f in figures
     )
-    facts = html.escape(f"{measurement!r}\n{result.report}\noff the grid: {off_grid}")
+    facts = html.escape(
+        f"{measurement!r}\n{result.report}\noff the grid: {off_grid}\nONNX file: {exported}"
+    )
     return f"""<!doctype html>
 <html lang="en"><meta charset="utf-8"><title>raden_torch: a simulated shell</title>
 <meta name="viewport" content="width=device-width">
@@ -201,7 +209,8 @@ pre {{ background: #1f1a17; padding: 1rem; overflow-x: auto; font-size: 13px }}
 <h1>A simulated shell, measured, fitted and lit</h1>
 <p>Everything here is made from a <b>simulated</b> specimen ({html.escape(SPECIMEN)}): film optics,
 not a measurement. Fitted model: <a href="shell.safetensors">shell.safetensors</a>; its readings:
-<a href="shell.csv">shell.csv</a>. Made in {seconds:.0f} s.</p>
+<a href="shell.csv">shell.csv</a>; the shader for other programs:
+<a href="shell.onnx">shell.onnx</a>. Made in {seconds:.0f} s.</p>
 {sections}
 <h2>The fit</h2>
 <pre>{facts}</pre>

@@ -70,7 +70,8 @@ def fit_diffuse(angles: tuple[Floats, Floats, Floats], f_r: Floats) -> DiffusePa
 def angle_from_mirror(a: Floats, r: Floats, t: Floats) -> Floats:
     """The angle between the viewer and the mirror direction of the light, in radians."""
     cosine = np.sin(a) * np.sin(r) + np.cos(a) * np.cos(r) * np.cos(2 * t)
-    return np.asarray(np.arccos(np.clip(cosine, -1, 1)))
+    cosine = np.clip(cosine, -1, 1)
+    return np.asarray(2 * np.arctan2(np.sqrt(1 - cosine), np.sqrt(1 + cosine)))
 
 
 def _fit_channel(angular: Floats, x: Floats, y: Floats) -> tuple[float, float]:

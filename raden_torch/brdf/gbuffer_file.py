@@ -11,41 +11,22 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import radians, tan
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from torch import Tensor
 
-from raden_torch.brdf.exr import channel_keys, read_parts, write_channels
+from raden_torch.brdf.exr import write_channels
+from raden_torch.brdf.exr_layers import Layers
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import Triple
 from raden_torch.errors import InputError
 
-NAMES: dict[str, tuple[str, ...]] = {
-    "normal": (
-        *("n", "normal", "normals", "ns", "nn", "normalworld", "normal_world", "worldnormal"),
-        *("world_normal", "sh_normal", "shading_normal", "denoising normal"),
-    ),
-    "position": ("p", "position", "positions", "pos", "worldposition", "world_position", "pworld"),
-    "depth": ("z", "depth", "zdepth", "depth_z"),
-    "mask": ("mask", "a", "alpha"),
-    "colour": ("", "rgba", "rgb", "beauty", "combined", "colour", "color"),
-}
-"""The layer names that are known, compared in lower case, the first one first. A name found
-nowhere as a whole may be the last part of one layer's name ("ViewLayer.Normal")."""
-
 FAR = 1e9
 """Depth from which on there is nothing; so also 65504, the largest half."""
 MAX_SMOOTH_PX = 100.0
-UNIT_SHARE = 0.8
-"""A bare RGB image holds normals where this share of its pixels that are not black has length 1."""
-UNIT_TOLERANCE = 0.02
-
-_VECTORS = ("xyz", "rgb")
-_SCALARS = ("v", "z", "r", "y")
 _LARGEST_HALF = 65504.0
 _Y_UP = (1.0, -1.0, -1.0)  # x right, y down, z forward → x right, y up, z to the viewer
 
@@ -91,7 +72,7 @@ def read_gbuffer(
     Warns:
         UserWarning: the steps of half-precision depth will show in the normals.
     """
-    source = _Source.of(path, channels)
+    source = Layers.of(path, channels)
     if view is not None and camera is not None:
         raise InputError(f"{path}: view and camera are both given; one of them was wanted")
     normal, depth = source.normals(), source.scalar("depth")
@@ -130,7 +111,7 @@ def read_colour(
     Args:
         channels: as for `read_gbuffer`, `{"colour": "Layer"}`.
     """
-    source = _Source.of(path, channels)
+    source = Layers.of(path, channels)
     colour = source.vector("colour")
     if colour is None or ("colour" not in source.chosen and source.bare_normals() is not None):
         return None
@@ -145,179 +126,8 @@ def write_image(image: Tensor, path: str | os.PathLike[str]) -> None:
     write_channels(path, dict(zip("RGB", rgb, strict=True)), half=True)
 
 
-@dataclass(frozen=True)
-class _Source:
-    """The channels of a file by all the names that they go by.
-
-    Attributes:
-        arrays: by name; in a multi-part file also as "part.name".
-        layers: layer in lower case → last part of the name in lower case → name.
-        chosen: what the caller named.
-        listing: the channels as `list_channels` names them, for messages.
-    """
-
-    path: str | os.PathLike[str]
-    arrays: dict[str, NDArray[np.float32]]
-    layers: dict[str, dict[str, str]]
-    chosen: Mapping[str, str]
-    listing: str
-
-    @classmethod
-    def of(cls, path: str | os.PathLike[str], chosen: Mapping[str, str] | None) -> _Source:
-        unknown = [name for name in chosen or {} if name not in NAMES]
-        if unknown:
-            raise InputError(f"channels: {unknown[0]!r}; {', '.join(NAMES)} were wanted")
-        parts = read_parts(path)
-        keys = channel_keys(parts)
-        arrays = {key: parts[part][name] for key, part, name in keys}
-        if len(parts) > 1:
-            for _, part, name in keys:
-                arrays.setdefault(f"{part}.{name}", parts[part][name])
-        layers: dict[str, dict[str, str]] = {}
-        for name in arrays:
-            layer, _, last = name.lower().rpartition(".")
-            layers.setdefault(layer, {}).setdefault(last, name)
-        shown = [key for key, _, _ in keys]
-        more = f" and {len(shown) - 40} more" if len(shown) > 40 else ""
-        return cls(path, arrays, layers, chosen or {}, ", ".join(shown[:40]) + more)
-
-    @property
-    def size(self) -> tuple[int, int]:
-        height, width = next(iter(self.arrays.values())).shape
-        return height, width
-
-    def missing(self, what: str) -> InputError:
-        return InputError(
-            f"{self.path}: {what}; it has the channels {self.listing}: name a layer of them, as in "
-            "normal=LAYER"
-        )
-
-    def camera_is_at_origin(self) -> InputError:
-        return InputError(
-            f"{self.path}: camera is given, but positions from depth have it at 0, 0, 0"
-        )
-
-    def normals(self) -> Tensor | None:
-        """`[1, 3, H, W]`, decoded, 0 where there are none."""
-        normal = self.vector("normal")
-        return self.bare_normals() if normal is None else decoded(normal)
-
-    def bare_normals(self) -> Tensor | None:
-        """The bare R, G, B, decoded, if they are unit vectors and no layer is called normals.
-
-        Some component must be negative: an image of pure red and blue has unit colours, too.
-        """
-        bare = self._stack(self._vector_in(""))
-        if bare is None or "normal" in self.chosen or self._named("normal", self._vectors()):
-            return None
-        normal = decoded(bare)
-        length = _length(normal)
-        unit = (length[length > 0] - 1).abs() < UNIT_TOLERANCE
-        signed = bool((normal < -UNIT_TOLERANCE).any())
-        return normal if signed and bool(unit.float().mean() >= UNIT_SHARE) else None
-
-    def vector(self, what: str) -> Tensor | None:
-        """`[1, 3, H, W]` of the layer that was named, else of a known one, else None."""
-        names = None
-        if what in self.chosen:
-            text = self.chosen[what]
-            names = self._listed(what, text) if "," in text else self._vector_in(text.lower())
-            if names is None:
-                raise self.missing(f"no layer {text!r} with X, Y, Z or R, G, B for the {what}")
-        else:
-            names = self._named(what, self._vectors())
-        return self._stack(names)
-
-    def scalar(self, what: str) -> Tensor | None:
-        """`[1, 1, H, W]`, likewise."""
-        if what in self.chosen:
-            text = self.chosen[what]
-            names = self._scalars().get(text.lower())
-            if names is None:
-                raise self.missing(f"no channel {text!r} for the {what}")
-        else:
-            names = self._named(what, self._scalars())
-        return self._stack(names)
-
-    def _named(
-        self, what: str, candidates: Mapping[str, tuple[str, ...]]
-    ) -> tuple[str, ...] | None:
-        """The candidate with a known name; several by the last part of it are an error."""
-        for name in NAMES[what]:
-            if name in candidates:
-                return candidates[name]
-        for name in filter(None, NAMES[what]):
-            found = {
-                id(self.arrays[names[0]]): layer
-                for layer, names in candidates.items()
-                if layer.rpartition(".")[2] == name
-            }
-            if len(found) > 1 and what in ("normal", "depth"):
-                several = ", ".join(found.values())
-                raise self.missing(f"several layers may be the {what} ({several})")
-            if len(found) == 1:
-                return candidates[next(iter(found.values()))]
-        return None
-
-    def _vectors(self) -> dict[str, tuple[str, ...]]:
-        found = {layer: self._vector_in(layer) for layer in self.layers}
-        return {layer: names for layer, names in found.items() if names is not None}
-
-    def _vector_in(self, layer: str) -> tuple[str, ...] | None:
-        members = self.layers.get(layer, {})
-        for letters in _VECTORS:
-            if all(letter in members for letter in letters):
-                return tuple(members[letter] for letter in letters)
-        return None
-
-    def _scalars(self) -> dict[str, tuple[str, ...]]:
-        """Channels by their names, and layers that stand for one channel ("Depth.V")."""
-        found: dict[str, tuple[str, ...]] = {}
-        for layer, members in self.layers.items():
-            vector = all(letter in members for letter in "xyz")
-            for last, name in members.items():
-                if not vector:
-                    found[f"{layer}.{last}".lstrip(".")] = (name,)
-        for layer, members in self.layers.items():
-            letters = [letter for letter in _SCALARS if letter in members]
-            if layer and letters and "x" not in members:
-                found.setdefault(layer, (members[letters[0]],))
-        return found
-
-    def _listed(self, what: str, text: str) -> tuple[str, ...]:
-        names = tuple(name.strip() for name in text.split(","))
-        absent = [name for name in names if name not in self.arrays]
-        if absent or len(names) != 3:
-            raise self.missing(f"{text!r} for the {what} is not three of its channels")
-        return names
-
-    def _stack(self, names: tuple[str, ...] | None) -> Tensor | None:
-        if names is None:
-            return None
-        return torch.from_numpy(np.stack([self.arrays[name] for name in names]))[None]
-
-
-def decoded(normal: Tensor) -> Tensor:
-    """Normals `[B, 3, H, W]` as stored → −1…1, and 0 where there are none.
-
-    They are taken as (n + 1)/2 where no value is below −0.02 and the median vector comes nearer to
-    unit length so. Then black pixels, and grey ones (0.5, 0.5, 0.5), have no normal.
-    """
-    finite = torch.isfinite(normal).all(dim=1, keepdim=True)
-    normal = torch.where(finite, normal, torch.zeros_like(normal))
-    there = (normal != 0).any(dim=1, keepdim=True)
-    if not there.any() or bool((normal < -UNIT_TOLERANCE).any()):
-        return normal
-    spread = 2 * normal - 1
-    as_is = (_length(normal)[there] - 1).abs().median()
-    by_half = (_length(spread)[there] - 1).abs().median()
-    if as_is <= by_half:
-        return normal
-    return torch.where(there & (_length(spread) > 0.1), spread, torch.zeros_like(normal))
-
-
 def _from_normals(
-    source: _Source,
+    source: Layers,
     normal: Tensor,
     depth: Tensor | None,
     matrix: Tensor | None,
@@ -344,7 +154,7 @@ def _from_normals(
 
 
 def _from_depth(
-    source: _Source, depth: Tensor, matrix: Tensor, view: Triple | None, smooth_px: float
+    source: Layers, depth: Tensor, matrix: Tensor, view: Triple | None, smooth_px: float
 ) -> GBuffer:
     there = _is_depth(depth)
     if smooth_px <= 0:
@@ -360,7 +170,7 @@ def _from_depth(
     return GBuffer(normal, position=position, camera=(0.0, 0.0, 0.0), mask=mask)
 
 
-def _mask(source: _Source, there: Tensor) -> Tensor:
+def _mask(source: Layers, there: Tensor) -> Tensor:
     mask = source.scalar("mask")
     if mask is None:
         return there.float()
@@ -392,7 +202,7 @@ def _grown(depth: Tensor, there: Tensor, smooth_px: float) -> Tensor:
     return around if smooth_px > 0 else torch.where(there, depth, around)
 
 
-def _warn_of_steps(source: _Source, depth: Tensor, matrix: Tensor) -> None:
+def _warn_of_steps(source: Layers, depth: Tensor, matrix: Tensor) -> None:
     """Depth in steps of half precision that are coarse beside a pixel gives terraces."""
     if len(depth) == 0 or not torch.equal(depth.half().float(), depth):
         return
@@ -446,7 +256,3 @@ def _rays(matrix: Tensor, size: tuple[int, int]) -> Tensor:
 
 def _as_view(view: Tensor | Sequence[float]) -> Tensor:
     return torch.as_tensor(view, dtype=torch.float32)
-
-
-def _length(vectors: Tensor) -> Tensor:
-    return (vectors * vectors).sum(dim=1, keepdim=True).sqrt()  # vector_norm is 20 times slower

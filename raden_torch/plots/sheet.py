@@ -11,9 +11,10 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from raden_torch.brdf.display import check_picture_path
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
-from raden_torch.files import check_writable, written_beside
+from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots.chromaticity import plot_path
 from raden_torch.plots.cuts import ANGLE_LIMITS_DEG
@@ -86,11 +87,7 @@ def save_plot(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 def check_plot_path(path: str | os.PathLike[str]) -> None:
     """Raise InputError where a sheet could not be written, so before the work is done."""
-    path = Path(path)
-    if path.suffix.lower() not in PLOT_SUFFIXES:
-        wanted = ", ".join(PLOT_SUFFIXES)
-        raise InputError(f"{path}: suffix {path.suffix or '(none)'}; one of {wanted} was wanted")
-    check_writable(path)
+    check_picture_path(path, PLOT_SUFFIXES)
 
 
 def _draw_panel(

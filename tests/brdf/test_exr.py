@@ -22,7 +22,8 @@ from raden_torch.brdf.exr import (
     write_channels,
     write_parts,
 )
-from raden_torch.brdf.gbuffer_file import decoded, read_colour, read_gbuffer, write_image
+from raden_torch.brdf.exr_layers import decoded
+from raden_torch.brdf.gbuffer_file import read_colour, read_gbuffer, write_image
 from raden_torch.errors import InputError
 
 OpenEXR = pytest.importorskip("OpenEXR")
