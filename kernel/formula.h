@@ -176,8 +176,8 @@ inline V inside_box(const Table& table, int axis, const V& radians, V& weight) {
 template <class V>
 inline V cut(const Table& table, int axis, const V& x) {
     const V cell = least(greatest(floor_of(x), 0.0f), table.last_cell[axis]);
-    const V start = lookup(table.cuts[axis], cell + cell);
-    return fma(x - cell, lookup(table.cuts[axis] + 1, cell + cell), start);
+    const V start = lookup(table.start[axis], table.blocks[axis], cell);
+    return fma(x - cell, lookup(table.pieces[axis], table.blocks[axis], cell), start);
 }
 
 // The node below, and the fraction above it.

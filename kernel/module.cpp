@@ -68,15 +68,17 @@ void join_rows(Scene& s) {
 struct ModelOf {
     std::int64_t table = 0;  // address, 0 for none
     std::array<int, 3> nodes{};
-    std::vector<std::int64_t> cuts;  // addresses, of a baked table
+    std::vector<std::int64_t> cuts;  // addresses of (start, pieces) by cell, of a baked table
     std::vector<int> cells;
+    std::array<std::vector<float>, 3> start, pieces;  // the same, apart and in whole blocks
     std::array<double, 3> first_deg{}, step_deg{};
     bool has_diffuse = false;
     std::array<float, 3> scale{}, exponent{};
     float diffuse_gain = 1, specular_gain = 1;
 };
 
-raden::Model as_model(const ModelOf& from) {
+// The kernel keeps pointers into `from`, which has to live as long as the model.
+raden::Model as_model(ModelOf& from) {
     raden::Model m;
     m.table.values = reinterpret_cast<const float*>(from.table);
     for (int k = 0; k < 3; ++k) {
@@ -85,7 +87,17 @@ raden::Model as_model(const ModelOf& from) {
         m.table.offset[k] = static_cast<float>(-from.first_deg[k] / from.step_deg[k]);
         m.table.box[k] = m.table.nodes[k] - 1;
         if (from.cuts.size() == 3) {
-            m.table.cuts[k] = reinterpret_cast<const float*>(from.cuts[k]);
+            const auto* cuts = reinterpret_cast<const float*>(from.cuts[k]);
+            m.table.blocks[k] = (from.cells[k] + raden::block_cells - 1) / raden::block_cells;
+            const std::size_t padded = m.table.blocks[k] * raden::block_cells;
+            from.start[k].assign(padded, 0.0f);
+            from.pieces[k].assign(padded, 1.0f);
+            for (int i = 0; i < from.cells[k]; ++i) {
+                from.start[k][i] = cuts[2 * i];
+                from.pieces[k][i] = cuts[2 * i + 1];
+            }
+            m.table.start[k] = from.start[k].data();
+            m.table.pieces[k] = from.pieces[k].data();
             m.table.last_cell[k] = static_cast<float>(from.cells[k] - 1);
             const int beside = k == 1 ? from.cells[0] : 0;  // r − a spans the cells of both
             m.table.box[k] = static_cast<float>(from.cells[k] - beside);
@@ -130,7 +142,7 @@ NB_MODULE(_kernel, m) {
         .def_rw("specular_gain", &ModelOf::specular_gain);
     m.def(
         "reflect",
-        [](const ModelOf& model, MapOf normal, MapOf light, MapOf view,
+        [](ModelOf& model, MapOf normal, MapOf light, MapOf view,
            std::array<std::int64_t, 3> size, std::int64_t image, const std::string& level,
            int threads) {
             Scene s;
@@ -144,7 +156,7 @@ NB_MODULE(_kernel, m) {
         "f_r of three maps into an image [B, 3, H, W].");
     m.def(
         "shade",
-        [](const ModelOf& model, MapOf normal, std::optional<MapOf> view,
+        [](ModelOf& model, MapOf normal, std::optional<MapOf> view,
            std::optional<MapOf> position, std::optional<MapOf> camera, std::optional<MapOf> mask,
            std::int64_t lights, int light_count, std::array<std::int64_t, 3> size,
            std::int64_t image, const std::string& level, int threads) {

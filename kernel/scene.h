@@ -13,9 +13,10 @@ struct Map {
 struct Table {
     const float* values = nullptr;
     float nodes[3] = {0, 0, 0};
-    // a baked table: axis 1 is r − a, and cell i of an axis begins at node cuts[2i] and has
-    // cuts[2i + 1] pieces; `box` counts the measured cells along a, r, t
-    const float* cuts[3] = {nullptr, nullptr, nullptr};
+    // a baked table: axis 1 is r − a, and cell i of an axis begins at node start[i] and has
+    // pieces[i] of them, both in whole blocks; `box` counts the measured cells along a, r, t
+    const float *start[3] = {nullptr, nullptr, nullptr}, *pieces[3] = {nullptr, nullptr, nullptr};
+    int blocks[3] = {0, 0, 0};
     float box[3] = {0, 0, 0}, last_cell[3] = {0, 0, 0};
     bool large = false;      // does not stay in the near caches
     long row = 0, slab = 0;  // floats from one receiving, or incidence, to the next
@@ -53,6 +54,7 @@ struct Scene {
     bool stream = false;     // write past the caches
 };
 
+constexpr int block_cells = 32;  // of a baked table's axis, looked up at once
 constexpr int tile_pixels = 64;
 
 // Where a tile's pixels lie in the table: first node and the weights of the nodes around it.

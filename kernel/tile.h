@@ -95,7 +95,7 @@ struct Tile {
             V x = inside_box(m.table, 0, a + a, weight);
             V y = inside_box(m.table, 1, r + r, weight);
             V z = inside_box(m.table, 2, t + t, weight);
-            if (m.table.cuts[0]) {
+            if (m.table.start[0]) {
                 y = cut(m.table, 1, y - x + m.table.box[0]);
                 x = cut(m.table, 0, x);
                 z = cut(m.table, 2, z);

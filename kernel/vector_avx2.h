@@ -56,9 +56,16 @@ inline Avx2 negated_where(Avx2::Mask m, Avx2 a) {
     return _mm256_xor_ps(a.x, _mm256_and_ps(m.x, _mm256_set1_ps(-0.0f)));
 }
 
-// p[i] for whole i.
-inline Avx2 lookup(const float* p, Avx2 i) {
-    return _mm256_i32gather_ps(p, _mm256_cvttps_epi32(i.x), 4);
+// p[i] for whole i, of a few blocks of numbers: they pass through registers, a gather is slower.
+inline Avx2 lookup(const float* p, int blocks, Avx2 i) {
+    const __m256i at = _mm256_cvttps_epi32(i.x);
+    __m256 found = _mm256_permutevar8x32_ps(_mm256_loadu_ps(p), at);  // by the index modulo 8
+    for (int first = 8; first < blocks * block_cells; first += 8) {
+        const __m256i here = _mm256_cmpgt_epi32(at, _mm256_set1_epi32(first - 1));
+        const __m256 next = _mm256_permutevar8x32_ps(_mm256_loadu_ps(p + first), at);
+        found = _mm256_blendv_ps(found, next, _mm256_castsi256_ps(here));
+    }
+    return found;
 }
 
 // x = m 2^e with m in [0.75, 1.5), for normal x > 0.

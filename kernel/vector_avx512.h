@@ -46,9 +46,16 @@ inline Avx512 negated_where(__mmask16 m, Avx512 a) {
     return _mm512_mask_xor_ps(a.x, m, a.x, _mm512_set1_ps(-0.0f));
 }
 
-// p[i] for whole i.
-inline Avx512 lookup(const float* p, Avx512 i) {
-    return _mm512_i32gather_ps(_mm512_cvttps_epi32(i.x), p, 4);
+// p[i] for whole i, of a few blocks of numbers: they pass through registers, a gather is slower.
+inline Avx512 lookup(const float* p, int blocks, Avx512 i) {
+    const __m512i at = _mm512_cvttps_epi32(i.x);
+    __m512 found = _mm512_permutex2var_ps(_mm512_loadu_ps(p), at, _mm512_loadu_ps(p + 16));
+    for (int first = block_cells; first < blocks * block_cells; first += block_cells) {
+        const __mmask16 here = _mm512_cmpge_epi32_mask(at, _mm512_set1_epi32(first));
+        const __m512 low = _mm512_loadu_ps(p + first), high = _mm512_loadu_ps(p + first + 16);
+        found = _mm512_mask_blend_ps(here, found, _mm512_permutex2var_ps(low, at, high));
+    }
+    return found;
 }
 
 // x = m 2^e with m in [0.75, 1.5), for normal x > 0.

@@ -76,8 +76,8 @@ inline Portable nearest(P a) { return lanewise([&](int i) { return std::nearbyin
 inline Portable select(PM m, P a, P b) { return lanewise([&](int i) { return m.x[i] ? a.x[i] : b.x[i]; }); }
 inline Portable negated_where(PM m, P a) { return lanewise([&](int i) { return m.x[i] ? -a.x[i] : a.x[i]; }); }
 
-// p[i] for whole i.
-inline Portable lookup(const float* p, P i) {
+// p[i] for whole i, of a few blocks of numbers.
+inline Portable lookup(const float* p, int, P i) {
     return lanewise([&](int k) { return p[static_cast<int>(i.x[k])]; });
 }
 
