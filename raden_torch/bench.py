@@ -43,7 +43,7 @@ SPECIMEN = "yakogai"
 SCALING = (64, 256, 1024, 2048)
 """Sides of square frames, in pixels."""
 
-_OFF_GRID, _RUNS, _FRAME = 4000, 5, (720, 1280)
+_OFF_GRID, _RUNS, _FRAME = 4000, 9, (720, 1280)
 _LIGHT = (1.0, 1.0, 2.0)
 
 Shader = Callable[[Tensor, Tensor, Tensor], Tensor]
@@ -270,12 +270,12 @@ def _ratios(
     if "naive" not in work:
         work["naive"] = partial(_reference_naive(), *vectors)
     times: dict[str, list[float]] = {name: [] for name in work}
-    for turn in range(_RUNS + 1):
+    for _ in range(_RUNS):
         for name, run in work.items():
+            run()  # what ran before has left its own memory behind
             start = time.perf_counter()
             run()
-            if turn:
-                times[name].append(time.perf_counter() - start)
+            times[name].append(time.perf_counter() - start)
     median = {name: statistics.median(taken) for name, taken in times.items()}
     return {k: (median[k] / median["floor"], median[k] / median["naive"]) for k in shaders}
 
@@ -314,6 +314,7 @@ def _jsonable(row: dict[str, Any]) -> dict[str, Any]:
 
 def _plot(rows: list[Row], chosen: str, measurement: BrdfMeasurement, path: Path) -> None:
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     markers = dict(zip(dict.fromkeys(row.backend for row in rows), "osD^v", strict=False))
@@ -329,11 +330,12 @@ def _plot(rows: list[Row], chosen: str, measurement: BrdfMeasurement, path: Path
                 marker=markers[row.backend],
                 color=colours[row.scheme],
                 s=70 if row.scheme == chosen else 36,
-                label=f"{row.scheme}, {row.backend}",
             )
         ax.set(xscale="log", yscale="log", xlabel="run time / copy of the same bytes", ylabel=label)
         ax.grid(alpha=0.3, which="both")
-    ax.legend(fontsize=7)
+    keys = [Line2D([], [], color=c, marker="s", ls="", label=k) for k, c in colours.items()]
+    keys += [Line2D([], [], color="#888888", marker=m, ls="", label=k) for k, m in markers.items()]
+    figure.legend(handles=keys, loc="outside right center", fontsize=8)
     kind = "simulated specimen: " if measurement.metadata.simulated else ""
     figure.suptitle(f"{kind}{measurement.metadata.sample[:60]}; default: {chosen}", fontsize=10)
     with written_beside(path) as temporary:
