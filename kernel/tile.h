@@ -305,6 +305,7 @@ struct Tile {
 
     // Σ f_r E cos θi, times the mask; what is not finite is 0.
     void shade() {
+        if (count == 0 && scene.mask.data) return;  // all masked out: Python made the image zero
         if (count > 0) {
             see();
             for (int k = 0; k < scene.light_count; ++k) add_light(scene.lights[k * scene.batch + image]);

@@ -78,7 +78,7 @@ def test_off_the_grid_no_worse_than_interpolating_the_total(shared: Path, name: 
 def test_spectralon_stays_matt(shared: Path) -> None:
     """Within 12 % of a Lambertian albedo of 0.94, light and view within 60° of the normal."""
     m = rt.load_measurement(shared / "data/measured_brdf/spectralon_rgb.csv")
-    model = rt.fit(m, interpolation="trilinear").model
+    model = rt.fit(m).model
     generator = torch.Generator().manual_seed(0)
     v = torch.nn.functional.normalize(torch.randn(3, 1, 3, 20_000, 1, generator=generator), dim=2)
     normal, light, view = v
