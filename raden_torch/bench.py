@@ -29,7 +29,7 @@ from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.interpolation import SCHEMES
 from raden_torch.brdf.lights import DirectionalLight
 from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.score import score
+from raden_torch.brdf.score import Score, score_of
 from raden_torch.brdf.shade import shade
 from raden_torch.brdf.shapes import sphere
 from raden_torch.brdf.stress import worst_errors
@@ -42,6 +42,14 @@ from raden_torch.optics import simulate_specimen
 SPECIMEN = "yakogai"
 SCALING = (64, 256, 1024, 2048)
 """Sides of square frames, in pixels."""
+
+PRECISIONS = {
+    "float32": torch.float32,
+    "float64": torch.float64,
+    "float16": torch.float16,
+    "bfloat16": torch.bfloat16,
+}
+"""Of the maps; half precision is computed in float32."""
 
 _OFF_GRID, _RUNS, _FRAME = 4000, 9, (720, 1280)
 _LIGHT = (1.0, 1.0, 2.0)
@@ -97,23 +105,26 @@ def run_bench(
     vectors = frame_vectors(*frame)
     rows = []
     for name, result in models.items():
-        accuracy = score(result.model, readings)
         delta_e = sphere_delta_e(result.model) if simulated else float("nan")
-        for backend, ratio in _ratios(backends(result.model), vectors).items():
+        shaders = backends(result.model)
+        ratios = _ratios(shaders, vectors)
+        for (backend, precision), shader in shaders.items():
+            accuracy = _score(shader, readings, PRECISIONS[precision])
+            times_floor, times_naive = ratios[backend, precision]
             rows.append(
                 Row(
                     scheme=name,
                     backend=backend,
-                    precision="float32",
-                    times_floor=ratio[0],
-                    times_naive=ratio[1],
+                    precision=precision,
+                    times_floor=times_floor,
+                    times_naive=times_naive,
                     rms=accuracy.rms,
                     log_error=accuracy.log_error,
                     delta_e=delta_e,
                     table_bytes=_table_bytes(result.model),
                 )
             )
-            say(f"{name:10s} {backend:8s} {ratio[0]:6.1f} x floor  {accuracy}")
+            say(f"{name:10s} {backend:8s} {precision:8s} {times_floor:6.1f} x floor  {accuracy}")
     default = models[chosen].model
     about = {
         "sample": measurement.metadata.sample,
@@ -128,8 +139,8 @@ def run_bench(
                 region: asdict(error)
                 for region, error in worst_errors(shader, _no_grad(default)).items()
             }
-            for backend, shader in backends(default).items()
-            if backend != "naive"
+            for (backend, precision), shader in backends(default).items()
+            if backend != "naive" and precision == "float32"
         },
     }
     out.mkdir(parents=True, exist_ok=True)
@@ -160,13 +171,29 @@ def frame_vectors(height: int, width: int) -> tuple[Tensor, Tensor, Tensor]:
     return unit(normal, dim=1), unit(light, dim=1), unit(view, dim=1)
 
 
-def backends(model: RadenBrdf) -> dict[str, Shader]:
-    """Every way of this machine to evaluate a model without gradients."""
-    found = {level: _no_grad(model, level) for level in reversed(kernel.LEVELS)}
-    found["eager"] = _no_grad(model, kernel.OFF)
+def backends(model: RadenBrdf) -> dict[tuple[str, str], Shader]:
+    """Every way of this machine to evaluate a model without gradients, by backend and precision."""
+    found: dict[tuple[str, str], Shader] = {}
+    for level in reversed(kernel.LEVELS):
+        found[level, "float32"] = _no_grad(model, level)
+    for precision in PRECISIONS:
+        found["eager", precision] = _no_grad(model, kernel.OFF)
+    if kernel.LEVELS:
+        found[kernel.LEVELS[-1], "float16"] = _no_grad(model, kernel.LEVELS[-1])
     if model.table is not None and model.table.pieces is None:
-        found["naive"] = naive_form(model)
+        found["naive", "float32"] = naive_form(model)
     return found
+
+
+def _score(shader: Shader, readings: BrdfMeasurement, dtype: torch.dtype) -> Score:
+    """The error through vectors of a precision, rather than by exact angles."""
+    angles = (
+        torch.from_numpy(np.deg2rad(column))[None, :, None]
+        for column in (readings.incidence_deg, readings.receiving_deg, readings.tilt_deg)
+    )
+    vectors = (v[None].to(dtype) for v in geometry.vectors_from_angles(*angles))
+    f = shader(*vectors)[0, :, :, 0].double().numpy().T
+    return score_of(f * (WHITE_LEVEL * np.pi), readings)
 
 
 def naive_form(model: RadenBrdf) -> Shader:
@@ -258,18 +285,20 @@ def _no_grad(model: RadenBrdf, level: str | None = None) -> Shader:
 
 
 def _ratios(
-    shaders: dict[str, Shader], vectors: tuple[Tensor, Tensor, Tensor]
-) -> dict[str, tuple[float, float]]:
+    shaders: dict[tuple[str, str], Shader], vectors: tuple[Tensor, Tensor, Tensor]
+) -> dict[tuple[str, str], tuple[float, float]]:
     """Run time over the floor and over the naive form, all in turn, medians."""
     source = torch.cat([m.flatten() for m in vectors])
     # as many bytes as three maps read and one written: two thirds of them there and back
     part = source[: len(source) * 2 // 3]
     target = torch.empty_like(part)
-    work: dict[str, Callable[[], object]] = {"floor": partial(target.copy_, part)}
-    work |= {name: partial(shader, *vectors) for name, shader in shaders.items()}
-    if "naive" not in work:
-        work["naive"] = partial(_reference_naive(), *vectors)
-    times: dict[str, list[float]] = {name: [] for name in work}
+    maps = {name: [m.to(dtype) for m in vectors] for name, dtype in PRECISIONS.items()}
+    floor, naive = ("floor", ""), ("naive", "float32")
+    work: dict[tuple[str, str], Callable[[], object]] = {floor: partial(target.copy_, part)}
+    work |= {key: partial(shader, *maps[key[1]]) for key, shader in shaders.items()}
+    if naive not in work:
+        work[naive] = partial(_reference_naive(), *vectors)
+    times: dict[tuple[str, str], list[float]] = {key: [] for key in work}
     for _ in range(_RUNS):
         for name, run in work.items():
             run()  # what ran before has left its own memory behind
@@ -277,7 +306,7 @@ def _ratios(
             run()
             times[name].append(time.perf_counter() - start)
     median = {name: statistics.median(taken) for name, taken in times.items()}
-    return {k: (median[k] / median["floor"], median[k] / median["naive"]) for k in shaders}
+    return {k: (median[k] / median[floor], median[k] / median[naive]) for k in shaders}
 
 
 def _reference_naive() -> Shader:
@@ -328,13 +357,15 @@ def _plot(rows: list[Row], chosen: str, measurement: BrdfMeasurement, path: Path
                 row.times_floor,
                 getattr(row, kind),
                 marker=markers[row.backend],
-                color=colours[row.scheme],
+                edgecolors=colours[row.scheme],
+                facecolors=colours[row.scheme] if row.precision == "float32" else "none",
                 s=70 if row.scheme == chosen else 36,
             )
         ax.set(xscale="log", yscale="log", xlabel="run time / copy of the same bytes", ylabel=label)
         ax.grid(alpha=0.3, which="both")
     keys = [Line2D([], [], color=c, marker="s", ls="", label=k) for k, c in colours.items()]
     keys += [Line2D([], [], color="#888888", marker=m, ls="", label=k) for k, m in markers.items()]
+    keys.append(Line2D([], [], color="#888888", marker="o", mfc="none", ls="", label="not float32"))
     figure.legend(handles=keys, loc="outside right center", fontsize=8)
     kind = "simulated specimen: " if measurement.metadata.simulated else ""
     figure.suptitle(f"{kind}{measurement.metadata.sample[:60]}; default: {chosen}", fontsize=10)

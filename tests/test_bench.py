@@ -50,6 +50,9 @@ def test_bench_writes_its_numbers_and_its_plot(tmp_path: Path, analytic, monkeyp
     assert {row["scheme"] for row in about["rows"]} == set(SCHEMES)
     assert {"eager", "naive"} <= {row["backend"] for row in about["rows"]}
     assert all(row["times_floor"] > 0 for row in about["rows"])
+    assert {row["precision"] for row in about["rows"]} == {
+        *("float32", "float64", "float16", "bfloat16")
+    }
     assert len(said) == len(about["rows"])
     assert [row["pixels"] for row in about["scaling"]] == [256, 1024]
     assert "eager" in about["stability"]

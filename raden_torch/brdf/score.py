@@ -42,12 +42,21 @@ def score(model: RadenBrdf, readings: BrdfMeasurement) -> Score:
     Raises:
         InputError: no valid reading.
     """
-    valid = readings.select(readings.valid)
-    if not len(valid):
+    return score_of(reflectance_factors(model, readings), readings)
+
+
+def score_of(factors: NDArray[np.float64], readings: BrdfMeasurement) -> Score:
+    """Compare predicted reflectance factors `[M, 3]` in linear RGB with readings.
+
+    Raises:
+        InputError: no valid reading.
+    """
+    if not readings.valid.any():
         raise InputError("score: no valid reading to compare with")
+    valid = readings.select(readings.valid)
     measured = valid.as_xyz().values[:, 1]
     to_y = np.linalg.inv(xyz_to_rgb_matrix())[1]
-    predicted = reflectance_factors(model, valid) @ to_y
+    predicted = factors[readings.valid] @ to_y
     error = predicted - measured
     logs = np.log1p(np.maximum(predicted, 0)) - np.log1p(np.maximum(measured, 0))
     level = float(np.quantile(measured, 0.999))
