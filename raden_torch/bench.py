@@ -29,14 +29,14 @@ from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.interpolation import SCHEMES
 from raden_torch.brdf.lights import DirectionalLight
 from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.score import Score, score_of
+from raden_torch.brdf.score import Score, angle_maps, score_of
 from raden_torch.brdf.shade import shade
 from raden_torch.brdf.shapes import sphere
 from raden_torch.brdf.stress import worst_errors
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
-from raden_torch.measurement.readings import WHITE_LEVEL
+from raden_torch.measurement.readings import FACTOR_PER_SR
 from raden_torch.optics import simulate_specimen
 
 SPECIMEN = "yakogai"
@@ -100,8 +100,12 @@ def run_bench(
     simulated = measurement is None or readings is None
     if measurement is None or readings is None:
         measurement, readings = simulated_pair()
-    models = {name: fit(measurement, interpolation=name) for name in SCHEMES}
-    chosen = fit(measurement).report.interpolation
+    default_fit = fit(measurement)
+    chosen = default_fit.report.interpolation
+    models = {
+        name: default_fit if name == chosen else fit(measurement, interpolation=name)
+        for name in SCHEMES
+    }
     vectors = frame_vectors(*frame)
     rows = []
     for name, result in models.items():
@@ -187,13 +191,9 @@ def backends(model: RadenBrdf) -> dict[tuple[str, str], Shader]:
 
 def _score(shader: Shader, readings: BrdfMeasurement, dtype: torch.dtype) -> Score:
     """The error through vectors of a precision, rather than by exact angles."""
-    angles = (
-        torch.from_numpy(np.deg2rad(column))[None, :, None]
-        for column in (readings.incidence_deg, readings.receiving_deg, readings.tilt_deg)
-    )
-    vectors = (v[None].to(dtype) for v in geometry.vectors_from_angles(*angles))
+    vectors = (v[None].to(dtype) for v in geometry.vectors_from_angles(*angle_maps(readings)))
     f = shader(*vectors)[0, :, :, 0].double().numpy().T
-    return score_of(f * (WHITE_LEVEL * np.pi), readings)
+    return score_of(f * FACTOR_PER_SR, readings)
 
 
 def naive_form(model: RadenBrdf) -> Shader:
@@ -262,7 +262,7 @@ def _simulated_sphere(gbuffer: GBuffer) -> tuple[NDArray[np.float64], NDArray[np
     on = (gbuffer.mask > 0).flatten().numpy() if gbuffer.mask is not None else cosine > 0
     seen = on & (cosine > 0) & (degrees[:, 0] <= 70) & (abs(degrees[:, 1:]) <= 70).all(axis=1)
     rgb = simulate_specimen(SPECIMEN, geometries_deg=degrees[seen]).as_rgb().values
-    return rgb / (WHITE_LEVEL * np.pi) * np.pi * cosine[seen, None], seen
+    return rgb / FACTOR_PER_SR * np.pi * cosine[seen, None], seen
 
 
 def machine() -> dict[str, Any]:

@@ -16,9 +16,7 @@ from raden_torch.brdf.tabulate import Floats, Tabulated
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
-from raden_torch.measurement.readings import WHITE_LEVEL
-
-_TO_FACTOR = WHITE_LEVEL * np.pi
+from raden_torch.measurement.readings import FACTOR_PER_SR
 
 
 @dataclass(frozen=True)
@@ -81,13 +79,13 @@ def make_table(table: Tabulated, total: Floats, scheme: str) -> ReflectanceTable
     if scheme == "trilinear":
         return ReflectanceTable(torch.from_numpy(total).float(), first, step)  # type: ignore[arg-type]
     baked = bake(reconstruct(table.axes_deg, _xyz_factors(total), SCHEMES[scheme]))
-    values = baked.values @ xyz_to_rgb_matrix().T / _TO_FACTOR
+    values = baked.values @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
     return ReflectanceTable(torch.from_numpy(values).float(), first, step, baked.pieces)  # type: ignore[arg-type]
 
 
 def _xyz_factors(f_r: Floats) -> Floats:
     """f_r in linear RGB → XYZ reflectance factors, which are never negative but for noise."""
-    return np.asarray(f_r @ np.linalg.inv(xyz_to_rgb_matrix()).T * _TO_FACTOR)
+    return np.asarray(f_r @ np.linalg.inv(xyz_to_rgb_matrix()).T * FACTOR_PER_SR)
 
 
 def _all_schemes(table: Tabulated, xyz: Floats) -> Iterator[tuple[str, Reconstruction]]:

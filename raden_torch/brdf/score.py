@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
-from raden_torch.measurement.readings import WHITE_LEVEL
+from raden_torch.measurement.readings import FACTOR_PER_SR
 
 
 @dataclass(frozen=True)
@@ -65,10 +66,13 @@ def score_of(factors: NDArray[np.float64], readings: BrdfMeasurement) -> Score:
 
 def reflectance_factors(model: RadenBrdf, readings: BrdfMeasurement) -> NDArray[np.float64]:
     """The model at the geometries of readings: `[M, 3]` linear RGB, perfect diffuser = 100."""
-    angles = (
-        torch.from_numpy(np.deg2rad(column))[None, :, None]
-        for column in (readings.incidence_deg, readings.receiving_deg, readings.tilt_deg)
-    )
     with torch.no_grad():
-        f = model.at_angles(*angles)[:, :, 0]
-    return f.numpy().T * (WHITE_LEVEL * np.pi)
+        f = model.at_angles(*angle_maps(readings))[:, :, 0]
+    return f.numpy().T * FACTOR_PER_SR
+
+
+def angle_maps(readings: BrdfMeasurement) -> tuple[Tensor, Tensor, Tensor]:
+    """Incidence, receiving and tilt of readings as maps `[1, M, 1]`, in radians and float64."""
+    columns = (readings.incidence_deg, readings.receiving_deg, readings.tilt_deg)
+    a, r, t = (torch.from_numpy(np.deg2rad(column))[None, :, None] for column in columns)
+    return a, r, t

@@ -10,7 +10,7 @@ from raden_torch.brdf.fill import Bools, Floats, fill
 from raden_torch.brdf.regularise import regularise
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
-from raden_torch.measurement.readings import RGB, WHITE_LEVEL
+from raden_torch.measurement.readings import FACTOR_PER_SR, RGB
 
 __all__ = ["Floats", "Tabulated", "tabulate"]
 
@@ -19,7 +19,6 @@ SCATTERED_STEP_DEG = 5.0
 
 _MAX_NODES = 361  # on one axis, and
 _MAX_CELLS = 4_000_000  # in the table
-_FACTOR_TO_F_R = 1 / (WHITE_LEVEL * np.pi)
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ def tabulate(measurement: BrdfMeasurement) -> Tabulated:
                 f"measurement: {name} has one value only ({angle[0]:g} deg); a model needs at "
                 "least two on each of incidence, receiving and tilt"
             )
-    f_r = rgb.values * _FACTOR_TO_F_R
+    f_r = rgb.values / FACTOR_PER_SR
     grid = _uniform(every.grid()) if every.is_grid else None
     scattered = grid is None
     if grid is None:
@@ -83,7 +82,7 @@ def tabulate(measurement: BrdfMeasurement) -> Tabulated:
         start, measured, filled = regularise(axes, np.stack(angles, axis=1), f_r, weight)
         warnings.append(_scattered_warning(rgb))
     else:
-        axes, start, measured = grid.axes_deg, grid.values * _FACTOR_TO_F_R, grid.measured
+        axes, start, measured = grid.axes_deg, grid.values / FACTOR_PER_SR, grid.measured
         filled = fill(axes, start)
     return Tabulated(
         axes_deg=axes,

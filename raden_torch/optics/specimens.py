@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from raden_torch.errors import InputError
-from raden_torch.measurement.readings import WHITE_LEVEL, XYZ, BrdfMeasurement, Metadata
+from raden_torch.measurement.readings import FACTOR_PER_SR, XYZ, BrdfMeasurement, Metadata
 from raden_torch.optics.films import Floats
 from raden_torch.optics.lacquered import Facets
 from raden_torch.optics.nacre import Stack
@@ -120,7 +120,7 @@ def simulate_specimen(
     for start in range(0, len(angles), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
         brdf = brdf_per_sr(SPECIMENS[name], *directions(np.radians(angles[rows])))
-        values[rows] = WHITE_LEVEL * np.pi * brdf @ bands_to_values
+        values[rows] = FACTOR_PER_SR * brdf @ bands_to_values
     std = noise * np.maximum(values, NOISE_FLOOR) if noise else None
     if std is not None:
         values = values + std * np.random.default_rng(seed).standard_normal(values.shape)

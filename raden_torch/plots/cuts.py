@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
-from raden_torch.measurement.readings import WHITE_LEVEL, Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR, Floats
 
 Bools = NDArray[np.bool_]
 
 ANGLES = ("incidence", "receiving", "tilt")
 ANGLE_LIMITS_DEG = {"incidence": (0.0, 90.0), "receiving": (-90.0, 90.0), "tilt": (-90.0, 90.0)}
-FACTOR_PER_SR = WHITE_LEVEL * np.pi
 """The reflectance factor of f_r = 1/sr."""
 
 SLAB_DEG = 2.5

@@ -13,10 +13,9 @@ from raden_torch.brdf.diffuse_fit import fit_diffuse
 from raden_torch.brdf.model import CosineDiffuse, RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.readings import RGB, Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR, RGB, Floats
 from raden_torch.plots.cuts import (
     ANGLES,
-    FACTOR_PER_SR,
     GridSamples,
     ModelSamples,
     Samples,

@@ -241,11 +241,9 @@ def _find_centres(axes_deg: Axes, logs: Floats) -> Floats:
     centres = [np.mean(group, axis=0) for group in kept[:MOST_LOBES]] or [
         np.array([reach, len(tilt) // 2])
     ]
-    return np.array([((c[0] - reach) * step / 2, tilt[0] + step_of(tilt) * c[1]) for c in centres])
-
-
-def step_of(axis: Floats) -> float:
-    return float(axis[1] - axis[0])
+    return np.array(
+        [((c[0] - reach) * step / 2, tilt[0] + (tilt[1] - tilt[0]) * c[1]) for c in centres]
+    )
 
 
 def _maxima(ridge: Floats) -> list[tuple[int, int]]:

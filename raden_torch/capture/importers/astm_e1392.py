@@ -33,7 +33,6 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.capture.importers.directions import (
-    FACTOR_PER_BRDF,
     NOMINAL_NM,
     measurement_of,
     unit_vectors,
@@ -47,7 +46,7 @@ from raden_torch.capture.importers.text import (
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.readings import RGB, XYZ, Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR, RGB, XYZ, Floats
 
 MAX_POINTS = 20_000_000
 _MAX_COLUMNS = 2_000
@@ -91,7 +90,7 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
     degrees, unit_note = _in_degrees(angles)
     _check_degrees(path, header, degrees)
     with np.errstate(over="ignore"):  # what overflows is refused as not finite
-        values = FACTOR_PER_BRDF * np.stack([column[names[i]] for i in order], axis=1)
+        values = FACTOR_PER_SR * np.stack([column[names[i]] for i in order], axis=1)
     return measurement_of(
         path,
         unit_vectors(degrees[0], degrees[1]),

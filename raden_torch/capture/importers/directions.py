@@ -15,13 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.readings import WHITE_LEVEL, Floats
+from raden_torch.measurement.readings import Floats
 
 NOMINAL_NM = 550.0
 """The band of a file that holds one wavelength and does not say which (a note says so)."""
-
-FACTOR_PER_BRDF = WHITE_LEVEL * np.pi
-"""Reflectance factor (perfect reflecting diffuser = 100) per f_r in 1/sr."""
 
 _ANGLES = ("incidence_deg", "receiving_deg", "tilt_deg")
 _HORIZON = 1e-9  # cosines up to this are at or below the horizon

@@ -32,7 +32,6 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.capture.importers.directions import (
-    FACTOR_PER_BRDF,
     NOMINAL_NM,
     measurement_of,
     unit_vectors,
@@ -40,7 +39,7 @@ from raden_torch.capture.importers.directions import (
 from raden_torch.capture.importers.text import first_lines, number, read_lines, shown
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.readings import Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR, Floats
 
 _FORMAT = re.compile(r"format\s+angles=(deg|sin)\s+bsdf=(value|log)\s+scale=(\S+)", re.IGNORECASE)
 _COLUMNS = ("polar angle", "azimuth", "bsdf")
@@ -74,7 +73,7 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
     specular, scatter, given = rows[:, 0:2].T, rows[:, 2:4].T, rows[:, 4]
     with np.errstate(over="ignore"):  # what overflows is refused as not finite
         bsdf = scale * (10.0**given if header[2].lower() == "log" else given)
-        values = FACTOR_PER_BRDF * bsdf[:, None]
+        values = FACTOR_PER_SR * bsdf[:, None]
     if in_degrees:
         light, view = unit_vectors(specular[0], specular[1] + 180), unit_vectors(*scatter)
         azimuth = specular[1]

@@ -41,7 +41,6 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.capture.importers.directions import (
-    FACTOR_PER_BRDF,
     NOMINAL_NM,
     measurement_of,
 )
@@ -54,7 +53,7 @@ from raden_torch.capture.importers.text import (
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.readings import XYZ, Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR, XYZ, Floats
 
 MAX_VALUES = 20_000_000
 _MAX_ANGLES = 10_000
@@ -238,7 +237,7 @@ def _measurement(
         notes.append(f"{int(filling.sum())} readings of exactly 0 left out as not measured")
     kept = ~filling
     with np.errstate(over="ignore"):  # what overflows is refused as not finite
-        factors = FACTOR_PER_BRDF * values[kept]
+        factors = FACTOR_PER_SR * values[kept]
     return measurement_of(
         path,
         light[:, kept],
