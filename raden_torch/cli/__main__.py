@@ -1,0 +1,5 @@
+"""`python -m raden_torch.cli` is `raden`."""
+
+from raden_torch.cli import main
+
+main()

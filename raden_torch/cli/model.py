@@ -1,0 +1,204 @@
+"""Measurements and models: fit, info, plot, bench, export, verify."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from raden_torch.cli.common import ModelFile, app, triple, working
+from raden_torch.errors import InputError
+from raden_torch.files import check_writable
+
+if TYPE_CHECKING:
+    from raden_torch.brdf.model import RadenBrdf
+    from raden_torch.measurement import BrdfMeasurement
+
+
+@app.command(epilog="Example: raden fit shell.csv -o shell.safetensors")
+def fit(
+    measurement: Annotated[Path, typer.Argument(help="a measurement file; its format is found")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="the model file to write")],
+    diffuse_scale: Annotated[
+        str | None, typer.Option(help="S per channel in 1/sr, by hand, as 0.1,0.1,0.1")
+    ] = None,
+    diffuse_exponent: Annotated[
+        str | None, typer.Option(help="n per channel, by hand, as 1,1,1")
+    ] = None,
+    interpolation: Annotated[
+        str,
+        typer.Option(help="between nodes: auto, trilinear (the paper), log, ridge, cubic, lobes"),
+    ] = "auto",
+    validation: Annotated[
+        Path | None, typer.Option(help="readings off the grid to choose the interpolation by")
+    ] = None,
+) -> None:
+    """Fit a model to a measurement and report how well."""
+    from raden_torch.capture.importers import load_measurement
+
+    check_writable(output)
+    if (diffuse_scale is None) != (diffuse_exponent is None):
+        raise InputError("--diffuse-scale and --diffuse-exponent go together; give both or neither")
+    with working(f"reading {measurement.name}"):
+        loaded = load_measurement(measurement)
+        off_grid = None if validation is None else load_measurement(validation)
+    with working("fitting"):
+        from raden_torch.brdf.diffuse_fit import DiffuseParameters
+        from raden_torch.brdf.fit import fit as fit_model
+        from raden_torch.brdf.model_file import save_model
+
+        by_hand = None
+        if diffuse_scale is not None and diffuse_exponent is not None:
+            by_hand = DiffuseParameters(
+                triple("--diffuse-scale", diffuse_scale),
+                triple("--diffuse-exponent", diffuse_exponent),
+            )
+        result = fit_model(
+            loaded, diffuse=by_hand, interpolation=interpolation, validation=off_grid
+        )
+        save_model(result.model, output)
+    print(f"{loaded!r}\n{result.report}\nwrote {output}")
+
+
+@app.command(epilog="Example: raden info shell.safetensors --against offgrid.csv")
+def info(
+    file: Annotated[Path | None, typer.Argument(help="a measurement or a model")] = None,
+    against: Annotated[
+        Path | None, typer.Option(help="readings to score a model on, e.g. off its grid")
+    ] = None,
+    system: Annotated[
+        bool, typer.Option("--system", help="instead: which form of the model runs here")
+    ] = False,
+) -> None:
+    """Say what a file holds; score a model on readings that it was not fitted to."""
+    if system == (file is not None):
+        raise InputError("info: give a FILE, or --system")
+    if file is None:
+        from raden_torch.brdf.kernel import system_report
+
+        print(system_report())
+        return
+
+    from raden_torch.describe import describe_measurement, describe_model
+    from raden_torch.measurement import BrdfMeasurement
+
+    with working(f"reading {file.name}"):
+        loaded = load(file)
+        if isinstance(loaded, BrdfMeasurement):
+            if against is not None:
+                raise InputError(f"{file}: is a measurement; --against scores a model")
+            text = describe_measurement(loaded)
+        else:
+            text = describe_model(loaded)
+            if against is not None:
+                from raden_torch.brdf.score import score
+                from raden_torch.capture.importers import load_measurement
+
+                text += f"\nagainst {against.name}: {score(loaded, load_measurement(against))}"
+    print(text)
+
+
+@app.command(epilog="Example: raden plot shell.csv -o graphs.png --figure 5 --figure 9")
+def plot(
+    file: Annotated[Path, typer.Argument(help="a measurement or a model")],
+    output: Annotated[Path, typer.Option("--output", "-o", help=".png, .svg or .pdf")],
+    figure: Annotated[
+        list[str] | None, typer.Option(help="5, 6, 7, 8, 9 or path; may be repeated; else all")
+    ] = None,
+    incidence: Annotated[float, typer.Option(help="held in figs 5, 6 and 9, degrees")] = 20.0,
+    tilt: Annotated[float, typer.Option(help="held in fig. 5, degrees")] = 10.0,
+    surface_tilt: Annotated[float, typer.Option(help="held in figs 7 and 8, degrees")] = 55.0,
+) -> None:
+    """Draw the paper's graphs of a measurement or a model."""
+    from raden_torch.plots import FIGURES, check_plot_path, draw, save_plot
+
+    check_plot_path(output)
+    with working(f"drawing {file.name}"):
+        sheet = draw(
+            load(file),
+            figure or FIGURES,
+            incidence_deg=incidence,
+            tilt_deg=tilt,
+            surface_tilt_deg=surface_tilt,
+        )
+        save_plot(sheet, output)
+    print(f"wrote {output}")
+
+
+@app.command(epilog="Example: raden export shell.safetensors -o shell.onnx --profile scene")
+def export(
+    model: ModelFile,
+    output: Annotated[Path, typer.Option("--output", "-o", help="the .onnx file to write")],
+    profile: Annotated[
+        str, typer.Option(help="gbuffer (normal, light, view) or scene (with camera and lights)")
+    ] = "gbuffer",
+    quantity: Annotated[
+        str, typer.Option("--quantity", help="radiance, or brdf (f_r in 1/sr, gbuffer only)")
+    ] = "radiance",
+    opset: Annotated[int, typer.Option(help="of the ONNX operators")] = 18,
+) -> None:
+    """Write a model as an ONNX shader for other programs, checked in ONNX Runtime."""
+    from raden_torch.brdf.model_file import load_model
+    from raden_torch.export.export import export_onnx
+
+    with working("exporting"):
+        report = export_onnx(
+            load_model(model), output, profile=profile, output=quantity, opset=opset
+        )
+    print(f"{report}\nwrote {output}")
+
+
+@app.command(epilog="Example: raden verify shell.onnx")
+def verify(
+    file: Annotated[Path, typer.Argument(help="a file that `raden export` wrote")],
+) -> None:
+    """Check an exported shader in every runtime on this machine."""
+    from raden_torch.export.export import verify_onnx
+
+    with working(f"verifying {file.name}"):
+        report = verify_onnx(file)
+    print(report)
+
+
+@app.command(epilog="Example: raden bench --out bench")
+def bench(
+    out: Annotated[Path, typer.Option(help="the folder for bench.json and the plot")] = Path(
+        "bench"
+    ),
+    measurement: Annotated[
+        Path | None, typer.Option(help="a grid; else the simulated shell; with --readings")
+    ] = None,
+    readings: Annotated[Path | None, typer.Option(help="readings off that grid")] = None,
+    height: Annotated[int, typer.Option(help="of the timed frame, which is 16:9")] = 720,
+) -> None:
+    """Run time against error, of every interpolator and backend."""
+    from raden_torch.bench import run_bench
+    from raden_torch.capture.importers import load_measurement
+
+    if (measurement is None) != (readings is None):
+        raise InputError("--measurement and --readings go together; give both or neither")
+    if not 16 <= height <= 8192:
+        raise InputError(f"--height {height}: 16…8192 was wanted")
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: is a file; name a folder")
+    grid = None if measurement is None else load_measurement(measurement)
+    off_grid = None if readings is None else load_measurement(readings)
+    plot_path = run_bench(out, grid, off_grid, frame=(height, height * 16 // 9))
+    print(f"wrote {plot_path.with_name('bench.json')}\nwrote {plot_path}")
+
+
+def load(path: Path) -> BrdfMeasurement | RadenBrdf:
+    """A model or a measurement, whichever the file is."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(9)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}; a measurement or a model was wanted") from None
+    if head[8:9] == b"{":  # safetensors: the length of a JSON header, then the header
+        from raden_torch.brdf.model_file import load_model
+
+        return load_model(path)
+    from raden_torch.capture.importers import load_measurement
+
+    return load_measurement(path)

@@ -1,0 +1,140 @@
+"""Pictures: render, relight, demo."""
+
+from __future__ import annotations
+
+from enum import Enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from raden_torch.cli.common import ModelFile, app, light_of, pair, stops_of, triple, working
+from raden_torch.errors import InputError
+
+
+class Green(str, Enum):
+    """Which way green points in a normal map."""
+
+    opengl = "opengl"
+    directx = "directx"
+
+
+@app.command(epilog="Example: raden render shell.safetensors --light 1,1,2 -o sphere.png")
+def render(
+    model: ModelFile,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="the .png, .jpg or (linear) .exr to write")
+    ] = Path("render.png"),
+    shape: Annotated[
+        str, typer.Option(help="what to show: sphere, or plate (black urushi with a motif)")
+    ] = "sphere",
+    light: Annotated[
+        list[str] | None,
+        typer.Option(help="x,y,z towards a lamp at infinity, or point:x,y,z; may be repeated"),
+    ] = None,
+    camera: Annotated[str | None, typer.Option(help="the camera's position x,y,z; y is up")] = None,
+    size: Annotated[int, typer.Option(help="width and height in pixels")] = 512,
+    samples: Annotated[int, typer.Option(help="rays per pixel along each side")] = 2,
+    exposure: Annotated[str, typer.Option(help="stops, or auto")] = "auto",
+    gbuffer: Annotated[
+        Path | None, typer.Option(help="an EXR with normals or depth to light, instead of a shape")
+    ] = None,
+    channel: Annotated[
+        list[str] | None, typer.Option(help="of the EXR, as normal=N or depth=Z; may be repeated")
+    ] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="horizontal field of view of the EXR's camera, degrees")
+    ] = None,
+    smooth: Annotated[float, typer.Option(help="smooth the EXR's depth by so many pixels")] = 0.0,
+) -> None:
+    """Light a shape, or an EXR G-buffer, with a model."""
+    from raden_torch.brdf.display import PICTURE_SUFFIXES, check_picture_path
+    from raden_torch.pictures import render_gbuffer, render_shape, save_picture
+
+    check_picture_path(output, (*PICTURE_SUFFIXES, ".exr"))
+    lights = [light_of(text) for text in light or ()]
+    eye = None if camera is None else triple("--camera", camera)
+    stops = stops_of(exposure)
+    with working("rendering"):
+        from raden_torch.brdf.model_file import load_model
+
+        loaded = load_model(model)
+        if gbuffer is None:
+            image = render_shape(loaded, shape, lights, camera=eye, size=size, samples=samples)
+        else:
+            named = dict(pair("--channel", text) for text in channel or ())
+            image = render_gbuffer(
+                loaded, gbuffer, lights, channels=named, fov_deg=fov, smooth_px=smooth
+            )
+        used = save_picture(image, output, loaded, exposure_ev=stops)
+    print(f"wrote {output} (exposure {used:+.2f} stops)")
+
+
+@app.command(
+    epilog="Example: raden relight box.png --normals n.png --mask m.png --model shell.safetensors "
+    "--light 1,1,2 -o relit.png"
+)
+def relight(
+    photos: Annotated[list[Path], typer.Argument(help="photographs of one size, or one")],
+    normals: Annotated[
+        Path, typer.Option(help="normal map: PNG (8 or 16 bits), TIFF; EXR, also with depth")
+    ],
+    model: Annotated[Path, typer.Option(help="a model that `raden fit` wrote")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="the image to write; a folder for several")
+    ],
+    mask: Annotated[
+        Path | None, typer.Option(help="what to relight, with a soft edge; else all normals")
+    ] = None,
+    light: Annotated[
+        list[str] | None, typer.Option(help="x,y,z towards a lamp at infinity; may be repeated")
+    ] = None,
+    strip: Annotated[
+        int | None, typer.Option(help="instead: this many lamps in a ring, side by side")
+    ] = None,
+    fov: Annotated[
+        float | None, typer.Option(help="of an EXR with depth instead of normals, degrees")
+    ] = None,
+    elevation: Annotated[
+        float, typer.Option(help="of the ring of lamps above the picture, degrees")
+    ] = 40.0,
+    green: Annotated[
+        Green, typer.Option(help="which way green points in the normal map")
+    ] = Green.opengl,
+    exposure: Annotated[
+        str, typer.Option(help="stops, or auto: the masked part keeps its mean luminance")
+    ] = "auto",
+) -> None:
+    """Relight the masked part of photographs; the rest of them is kept."""
+    from raden_torch.pictures import relight_files
+
+    if strip is not None and light:
+        raise InputError("--strip brings its own lamps; give --light or --strip")
+    with working("relighting"):
+        written = relight_files(
+            photos,
+            normals,
+            mask,
+            model,
+            output,
+            lights=[light_of(text) for text in light or ["1,1,2"]],
+            strip=strip,
+            elevation_deg=elevation,
+            fov_deg=fov,
+            green=green.value,
+            exposure_ev=stops_of(exposure),
+        )
+    for path in written:
+        print(f"wrote {path}")
+
+
+@app.command(epilog="Example: raden demo --out demo")
+def demo(
+    out: Annotated[Path, typer.Option(help="the folder for the gallery")] = Path("demo"),
+    size: Annotated[int, typer.Option(help="picture size in pixels")] = 512,
+) -> None:
+    """Simulate a shell, fit a model to it, light it, and show all of it on a page."""
+    from raden_torch.demo import run_demo
+
+    page = run_demo(out, size=size)
+    print(f"open {page}")
