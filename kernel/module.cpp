@@ -5,6 +5,7 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <optional>
@@ -34,6 +35,14 @@ Map as_map(const std::optional<MapOf>& m) {
     return {reinterpret_cast<const float*>(address), batch, channel, row, column};
 }
 
+raden::DifferentiateTiles gradient_of(const std::string& level) {
+#ifdef RADEN_X86
+    if (level == "avx512") return raden::differentiate_tiles_avx512;
+    if (level == "avx2") return raden::differentiate_tiles_avx2;
+#endif
+    return raden::differentiate_tiles_portable;
+}
+
 raden::ShadeTiles tiles_of(const std::string& level) {
 #ifdef RADEN_X86
     if (level == "avx512") return raden::shade_tiles_avx512;
@@ -56,10 +65,11 @@ std::vector<std::string> levels() {
 }
 
 // Rows that follow each other without a gap in every map are one long row, and so is one column.
-void join_rows(Scene& s) {
+void join_rows(Scene& s, Map& further) {
+    Map* const maps[] = {&s.normal, &s.light, &s.view, &s.position, &s.mask, &further};
     if (s.columns == 1)
-        for (Map* m : {&s.normal, &s.light, &s.view, &s.position, &s.mask}) m->column = m->row;
-    for (const Map* m : {&s.normal, &s.light, &s.view, &s.position, &s.mask})
+        for (Map* m : maps) m->column = m->row;
+    for (const Map* m : maps)
         if (m->data && m->row != m->column * s.columns) return;
     s.columns *= s.rows;
     s.rows = 1;
@@ -115,11 +125,29 @@ raden::Model as_model(ModelOf& from) {
 }
 
 void run(Scene& scene, const std::string& level, int threads) {
-    join_rows(scene);
+    Map none;
+    join_rows(scene, none);
     scene.stream = scene.batch * scene.rows * scene.columns > caches;
     const auto tiles = tiles_of(level);
-    raden::share_out(raden::tile_count(scene), piece, threads,
+    const long count = raden::tile_count(scene);
+    // waking a thread takes longer than a few pieces
+    raden::share_out(count, piece, static_cast<int>(std::min<long>(threads, count / (4 * piece))),
                      [&](long first, long last) { tiles(scene, first, last); });
+}
+
+// Slice k of the tiles adds to sums[k] and body[k]: the same bits whichever thread takes it.
+void differentiate(Scene& scene, raden::Gradient& wanted, float* sums, double* body, int slices,
+                   const std::string& level) {
+    join_rows(scene, wanted.image);
+    const auto tiles = gradient_of(level);
+    const long count = raden::tile_count(scene);
+    const long floats = scene.model.table.slab * static_cast<long>(scene.model.table.nodes[0]);
+    raden::share_out(slices, 1, slices, [&](long first, long last) {
+        for (long k = first; k < last; ++k)
+            tiles(scene, wanted,
+                  {count * k / slices, count * (k + 1) / slices, sums ? sums + k * floats : nullptr,
+                   body + 6 * k});
+    });
 }
 
 }  // namespace
@@ -154,6 +182,26 @@ NB_MODULE(_kernel, m) {
             run(s, level, threads);
         },
         "f_r of three maps into an image [B, 3, H, W].");
+    m.def(
+        "differentiate",
+        [](ModelOf& model, MapOf normal, MapOf light, MapOf view, MapOf gradient,
+           std::array<std::int64_t, 3> size, std::array<std::int64_t, 3> maps, std::int64_t table,
+           std::int64_t body, int slices, const std::string& level) {
+            Scene s;
+            s.model = as_model(model);
+            s.batch = size[0], s.rows = size[1], s.columns = size[2];
+            s.normal = as_map(normal), s.light = as_map(light), s.view = as_map(view);
+            raden::Gradient wanted;
+            wanted.image = as_map(gradient);
+            wanted.normal = reinterpret_cast<float*>(maps[0]);
+            wanted.light = reinterpret_cast<float*>(maps[1]);
+            wanted.view = reinterpret_cast<float*>(maps[2]);
+            nb::gil_scoped_release released;
+            differentiate(s, wanted, reinterpret_cast<float*>(table),
+                          reinterpret_cast<double*>(body), slices, level);
+        },
+        "The gradient of `reflect`: into maps [B, 3, H, W] (0 for none), and into one table (or 0) "
+        "and six sums for each slice of the pixels.");
     m.def(
         "shade",
         [](ModelOf& model, MapOf normal, std::optional<MapOf> view,

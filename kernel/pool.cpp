@@ -102,8 +102,7 @@ Pool& pool() {
 
 void share_out(long count, long piece, int threads, const std::function<void(long, long)>& work) {
     Job job{work, count, piece};
-    // waking a thread takes longer than a few pieces
-    const int helpers = static_cast<int>(std::min<long>(threads, count / (4 * piece))) - 1;
+    const int helpers = threads - 1;
     if (helpers <= 0) return job.run();
     Pool& shared = pool();
     std::unique_lock<std::mutex> mine(shared.in_use, std::try_to_lock);

@@ -67,10 +67,27 @@ struct Cells {
 static inline long tiles_per_row(const Scene& s) { return (s.columns + tile_pixels - 1) / tile_pixels; }
 static inline long tile_count(const Scene& s) { return s.batch * s.rows * tiles_per_row(s); }
 
+// What the backward pass wants of a scene that is not lit: maps [B, 3, H, W] in one piece, or null.
+struct Gradient {
+    Map image;  // of the loss by f_r
+    float *normal = nullptr, *light = nullptr, *view = nullptr;
+};
+
+// A run of tiles with sums of its own, so that no two threads add to the same number.
+struct Slice {
+    long first_tile = 0, last_tile = 0;
+    float* table = nullptr;   // like the table, or null
+    double* body = nullptr;   // scale and exponent of the three channels
+};
+
 // One per instruction set; the same template, compiled with other flags.
 using ShadeTiles = void (*)(const Scene&, long first_tile, long last_tile);
 void shade_tiles_portable(const Scene&, long first_tile, long last_tile);
 void shade_tiles_avx2(const Scene&, long first_tile, long last_tile);
 void shade_tiles_avx512(const Scene&, long first_tile, long last_tile);
+using DifferentiateTiles = void (*)(const Scene&, const Gradient&, const Slice&);
+void differentiate_tiles_portable(const Scene&, const Gradient&, const Slice&);
+void differentiate_tiles_avx2(const Scene&, const Gradient&, const Slice&);
+void differentiate_tiles_avx512(const Scene&, const Gradient&, const Slice&);
 
 }  // namespace raden

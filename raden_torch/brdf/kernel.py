@@ -1,12 +1,14 @@
 """The fused CPU kernel: one pass over the pixels instead of a hundred torch operations.
 
-`RadenBrdf` and `shade` take it by themselves where no gradient is asked for and the tensors are on
-the CPU in single (or half) precision. The eager torch form stays the reference: the kernel computes
-the same formulas (`geometry.py`, `diffuse.py`, `table.py`) and is tested against it.
+`RadenBrdf` and `shade` take it by themselves where the tensors are on the CPU in single (or half)
+precision. The eager torch form stays the reference: the kernel computes the same formulas
+(`geometry.py`, `diffuse.py`, `table.py`) and their gradients, and is tested against it.
 
-It is registered as the torch operators `raden_torch::brdf` and `raden_torch::shade`, so that
-`torch.compile` and `torch.export` see one node. The environment variable RADEN_TORCH_SIMD chooses
-its instruction set: avx512, avx2, portable, or off for the eager form.
+It is registered as the torch operators `raden_torch::brdf`, its gradient
+`raden_torch::brdf_backward`, and `raden_torch::shade` (which has none: with gradients `shade` calls
+the model light by light), so that `torch.compile` and `torch.export` see one node each. The
+environment variable RADEN_TORCH_SIMD chooses its instruction set: avx512, avx2, portable, or off
+for the eager form.
 """
 
 from __future__ import annotations
@@ -41,8 +43,8 @@ PRECISIONS = (torch.float32, torch.float16, torch.bfloat16)
 LARGEST_TABLE = 2**24
 """Nodes: the kernel counts them in single precision, which is exact up to here."""
 
-CUTS = 4
-"""Where the operator's list of tensors stands among its arguments."""
+LARGEST_SUMS = 2**28
+"""Bytes of table gradients, one for each thread, that a backward pass may take."""
 
 _MODEL = (
     "Tensor? table, Tensor[] cuts, float[] first_deg, float[] step_deg, Tensor? scale, "
@@ -50,6 +52,11 @@ _MODEL = (
 )
 torch.library.define(
     "raden_torch::brdf", f"(Tensor normal, Tensor light, Tensor view, {_MODEL}) -> Tensor"
+)
+torch.library.define(
+    "raden_torch::brdf_backward",
+    f"(Tensor gradient, Tensor normal, Tensor light, Tensor view, {_MODEL}, bool[] wanted)"
+    " -> Tensor[]",
 )
 torch.library.define(
     "raden_torch::shade",
@@ -98,7 +105,7 @@ def system_report() -> str:
     return "\n".join(
         (
             f"evaluation: {form}",
-            "with gradients, in float64 and on other devices: eager torch",
+            "in float64 and on other devices: eager torch",
             f"threads: {torch.get_num_threads()}",
             f"torch: {torch.__version__}",
         )
@@ -109,16 +116,21 @@ def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
     """Whether the kernel can stand in for the eager form of this model on these tensors."""
     if _level == OFF or torch.onnx.is_in_onnx_export() or _is_transformed():
         return False
-    parameters = list(model.parameters())
-    tensors = [t for t in (*inputs, *parameters) if t is not None]
-    if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
+    if isinstance(model.diffuse_gain, Tensor) or isinstance(model.specular_gain, Tensor):
         return False
+    tensors = [t for t in (*inputs, *model.parameters()) if t is not None]
     if any(t.device.type != "cpu" or t.dtype not in PRECISIONS for t in tensors):
         return False
     table = model.table
     return table is None or (
         table.values.shape[-1] == 3 and table.values.numel() <= 3 * LARGEST_TABLE
     )
+
+
+def asks_for_gradient(model: RadenBrdf, *inputs: Tensor | None) -> bool:
+    """Whether autograd records what is done with these."""
+    tensors = (t for t in (*inputs, *model.parameters()) if t is not None)
+    return torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
 
 
 def brdf(model: RadenBrdf, normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
@@ -265,36 +277,93 @@ def _image_size(
     return b, h, w
 
 
+# the operator's tensors that have a gradient, by their place among its arguments
+_NORMAL, _LIGHT, _VIEW, _TABLE, _CUTS, _SCALE, _EXPONENT = 0, 1, 2, 3, 4, 7, 8
+_DIFFERENTIABLE = (_NORMAL, _LIGHT, _VIEW, _TABLE, _SCALE, _EXPONENT)
+
+
 def _keep_inputs(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
     tensors = [x for x in inputs if isinstance(x, Tensor)]
-    ctx.save_for_backward(*tensors)
+    ctx.save_for_backward(*tensors, *inputs[_CUTS])
     ctx.others = [None if isinstance(x, Tensor) else x for x in inputs]
     ctx.is_tensor = [isinstance(x, Tensor) for x in inputs]
 
 
-def _brdf_backward(ctx: Any, gradient: Tensor) -> tuple[Any, ...]:
-    """The gradient of the eager form, evaluated again."""
+def _gradient(ctx: Any, gradient: Tensor) -> tuple[Any, ...]:
     saved = iter(ctx.saved_tensors)
     inputs = [
-        next(saved).detach().requires_grad_(ctx.needs_input_grad[i]) if is_tensor else other
-        for i, (is_tensor, other) in enumerate(zip(ctx.is_tensor, ctx.others, strict=True))
+        next(saved) if is_tensor else other
+        for is_tensor, other in zip(ctx.is_tensor, ctx.others, strict=True)
     ]
-    wanted = [i for i, needed in enumerate(ctx.needs_input_grad) if needed is True]
-    with torch.enable_grad():
+    inputs[_CUTS] = list(saved)
+    wanted = [ctx.needs_input_grad[i] is True for i in _DIFFERENTIABLE]
+    if torch.is_grad_enabled():  # somebody wants the gradient of the gradient
+        of = [inputs[i] for i, want in zip(_DIFFERENTIABLE, wanted, strict=True) if want]
         f = _eager(*inputs)
-        found = torch.autograd.grad(f, [inputs[i] for i in wanted], gradient, allow_unused=True)
-    by_input = dict(zip(wanted, found, strict=True))
-    no_cuts = [None] * len(inputs[CUTS])
-    return tuple(no_cuts if i == CUTS else by_input.get(i) for i in range(len(inputs)))
+        found = torch.autograd.grad(f, of, gradient, create_graph=True, allow_unused=True)
+    else:
+        found = torch.ops.raden_torch.brdf_backward(gradient, *inputs, wanted)
+    # torch counts an empty list as one of tensors, too
+    by_input: list[Any] = [
+        [None] * len(x) if isinstance(x, list) and (i == _CUTS or not x) else None
+        for i, x in enumerate(inputs)
+    ]
+    places = (i for i, want in zip(_DIFFERENTIABLE, wanted, strict=True) if want)
+    for i, g in zip(places, found, strict=True):
+        by_input[i] = g
+    return tuple(by_input)
+
+
+@torch.library.impl("raden_torch::brdf_backward", "CPU")
+def _brdf_backward(gradient: Tensor, *arguments: Any) -> list[Tensor]:
+    *inputs, wanted = arguments
+    shape = gradient.shape
+    broadcast = [_four_dimensions(m.float().expand(shape)) for m in (gradient, *inputs[:3])]
+    b, _, h, w = broadcast[0].shape
+    full = [torch.zeros(shape if want else 0, dtype=torch.float32) for want in wanted[:3]]
+    held, packed = _packed(*inputs[3:])
+    table = inputs[_TABLE]
+    sums = table is not None and wanted[3]
+    slices = max(1, min(torch.get_num_threads(), b * h * w // 4096))
+    if sums:
+        slices = max(1, min(slices, LARGEST_SUMS // (4 * table.numel())))
+    tables = torch.zeros((slices, *table.shape) if sums else 0, dtype=torch.float32)
+    body = torch.zeros(slices, 2, 3, dtype=torch.float64)
+    if gradient.numel() > 0:
+        _kernel.differentiate(
+            packed,
+            *(_address(m) for m in (*broadcast[1:], broadcast[0])),
+            (b, h, w),
+            tuple(m.data_ptr() if m.numel() > 0 else 0 for m in full),
+            tables.data_ptr() if sums else 0,
+            body.data_ptr(),
+            slices,
+            _level_that_is_on(),
+        )
+    del held
+    return [
+        g.sum_to_size(inputs[i].shape).to(inputs[i].dtype)
+        for i, g, want in zip(
+            _DIFFERENTIABLE, (*full, tables.sum(0), *body.sum(0)), wanted, strict=True
+        )
+        if want
+    ]
+
+
+def _brdf_backward_shape(gradient: Tensor, *arguments: Any) -> list[Tensor]:
+    *inputs, wanted = arguments
+    of = (inputs[i] for i, want in zip(_DIFFERENTIABLE, wanted, strict=True) if want)
+    return [x.new_empty(x.shape) for x in of]
 
 
 torch.library.register_fake("raden_torch::brdf", _brdf_shape)
+torch.library.register_fake("raden_torch::brdf_backward", _brdf_backward_shape)
 torch.library.register_fake("raden_torch::shade", _shade_shape)
-torch.library.register_autograd("raden_torch::brdf", _brdf_backward, setup_context=_keep_inputs)
+torch.library.register_autograd("raden_torch::brdf", _gradient, setup_context=_keep_inputs)
 
 
 def _eager(normal: Tensor, light: Tensor, view: Tensor, *arguments: Any) -> Tensor:
-    """The eager form as a function of the operator's arguments."""
+    """The eager form as a function of the operator's arguments, for gradients of gradients."""
     from raden_torch.brdf.model import CosineDiffuse, RadenBrdf
     from raden_torch.brdf.table import ReflectanceTable
 
@@ -327,7 +396,7 @@ def _packed(
     held = []
     if values is not None:
         table = values.detach().float().contiguous()
-        held = [table, *(c.detach().float().contiguous() for c in cuts)]
+        held = [table, *(c.float().contiguous() for c in cuts)]
         model.table = table.data_ptr()
         model.cuts = [c.data_ptr() for c in held[1:]]
         model.cells = [len(c) for c in cuts]

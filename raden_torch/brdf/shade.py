@@ -86,7 +86,8 @@ def _by_kernel(model: RadenBrdf, gbuffer: GBuffer, lights: list[Light]) -> Tenso
     camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
     floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
     lamps = packed(lights, position, normal)
-    if not kernel.takes(model, normal, view, position, camera, floating, lamps):
+    inputs = (normal, view, position, camera, floating, lamps)
+    if not kernel.takes(model, *inputs) or kernel.asks_for_gradient(model, *inputs):
         return None
     for lamp in lamps.unbind(0):
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
