@@ -50,7 +50,7 @@ struct Scene {
     const Light* lights = nullptr;            // [lights, batch]
     int light_count = 0;
     Model model;
-    float* image = nullptr;  // [B, 3, H, W] in one piece; zero where there is a mask
+    float* image = nullptr;  // [B, 3, H, W] in one piece
     bool stream = false;     // write past the caches
 };
 

@@ -46,21 +46,47 @@ struct Tile {
           width(static_cast<int>(s.columns - x < tile_pixels ? s.columns - x : tile_pixels)) {}
 
     void select_pixels() {
-        if (!scene.mask.data) {
+        const Map& m = scene.mask;
+        if (!m.data) {
             count = width;
             for (int i = 0; i < width; ++i) at[i] = i;
-        } else {
-            const Map& m = scene.mask;
-            const float* p = m.data + image * m.batch + row * m.row + first * m.column;
-            for (int i = 0; i < width; ++i) {
-                const float value = p[i * m.column];
-                at[count] = i;
-                masked[count] = value < 1.0f ? value : 1.0f;
-                count += value > 0.0f;  // not NaN either
-            }
+            whole = count == tile_pixels;
+            return;
         }
+        const float* p = m.data + image * m.batch + row * m.row + first * m.column;
+        if (m.column == 1 && width == tile_pixels)
+            select_from(p);
+        else
+            for (int i = 0; i < width; ++i) keep_one(i, p[i * m.column]);
         whole = count == tile_pixels;
-        for (int i = count; i < tile_pixels; ++i) masked[i] = 0.0f;
+        for (int i = count; i < tile_pixels && count > 0; ++i) masked[i] = 0.0f;
+    }
+
+    // A mask leaves a tile alone, as a rule, or takes all of it.
+    void select_from(const float* mask) {
+        unsigned left[groups], none = 0, all = ~0u;
+        for (int g = 0; g < groups; ++g) {
+            left[g] = bits(V(0.0f) < V::load(mask + g * V::lanes));
+            none |= left[g], all &= left[g];
+        }
+        if (none == 0) return;
+        if (all == (1u << V::lanes) - 1) {
+            count = tile_pixels;
+            for (int i = 0; i < width; i += V::lanes)
+                least(V::load(mask + i), 1.0f).store(masked + i);
+            return;
+        }
+        for (int g = 0; g < groups; ++g)
+            for (; left[g] != 0; left[g] &= left[g] - 1) {
+                const int i = g * V::lanes + lowest(left[g]);
+                keep_one(i, mask[i]);
+            }
+    }
+
+    void keep_one(int i, float value) {
+        at[count] = i;
+        masked[count] = value < 1.0f ? value : 1.0f;
+        count += value > 0.0f;  // not NaN either
     }
 
     // Three planes of a map for the pixels selected: the map itself where it lies in a row.
@@ -177,13 +203,26 @@ struct Tile {
 
     void put(int g, const V out[3]) {
         for (int c = 0; c < 3; ++c) {
-            float* to = pixel(c) + g * V::lanes;
-            if (!whole)
-                out[c].store(sum[c] + g * V::lanes);
-            else if (scene.stream && reinterpret_cast<std::uintptr_t>(to) % (4 * V::lanes) == 0)
-                out[c].stream(to);
+            if (whole)
+                write(out[c], pixel(c) + g * V::lanes);
             else
-                out[c].store(to);
+                out[c].store(sum[c] + g * V::lanes);
+        }
+    }
+
+    void write(const V& v, float* to) const {
+        if (scene.stream && reinterpret_cast<std::uintptr_t>(to) % (4 * V::lanes) == 0)
+            v.stream(to);
+        else
+            v.store(to);
+    }
+
+    void clear() const {
+        for (int c = 0; c < 3; ++c) {
+            float* to = pixel(c);
+            int i = 0;
+            for (; i + V::lanes <= width; i += V::lanes) write(V(0.0f), to + i);
+            for (; i < width; ++i) to[i] = 0.0f;
         }
     }
 
@@ -305,15 +344,13 @@ struct Tile {
 
     // Σ f_r E cos θi, times the mask; what is not finite is 0.
     void shade() {
-        if (count == 0 && scene.mask.data) return;  // all masked out: Python made the image zero
-        if (count > 0) {
-            see();
-            for (int k = 0; k < scene.light_count; ++k) add_light(scene.lights[k * scene.batch + image]);
-        }
-        for (int g = 0; g < groups && (count > 0 || width == tile_pixels); ++g) {
+        if (count == 0) return clear();
+        see();
+        for (int k = 0; k < scene.light_count; ++k) add_light(scene.lights[k * scene.batch + image]);
+        for (int g = 0; g < groups; ++g) {
             V out[3];
             for (int c = 0; c < 3; ++c) {
-                out[c] = count > 0 ? V::load(sum[c] + g * V::lanes) : V(0.0f);
+                out[c] = V::load(sum[c] + g * V::lanes);
                 out[c] = select(magnitude(out[c]) <= FLT_MAX, out[c], 0.0f);
                 if (scene.mask.data) out[c] = out[c] * V::load(masked + g * V::lanes);
             }

@@ -18,7 +18,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
@@ -216,12 +215,7 @@ def _shade(
 ) -> Tensor:
     b, h, w = _image_size(normal, view, position, camera, mask, lights)
     size = (b, 3, h, w)
-    # fresh zero pages cost nothing until they are written, and what is masked out never is
-    masked = mask is not None and mask.numel() > 0
-    if masked:
-        image = torch.from_numpy(np.zeros(size, np.float32))
-    else:
-        image = torch.empty(size, dtype=torch.float32)
+    image = torch.empty(size, dtype=torch.float32)
     if image.numel() == 0:
         return image
     maps = [
