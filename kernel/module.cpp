@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cfloat>
 #include <cmath>
 #include <optional>
 #include <string>
@@ -183,6 +184,26 @@ NB_MODULE(_kernel, m) {
         },
         "f_r of three maps into an image [B, 3, H, W].");
     m.def(
+        "look_up",
+        [](MapOf normal, std::optional<MapOf> mask, std::int64_t values, int side,
+           std::array<float, 9> frame, std::array<std::int64_t, 3> size, std::int64_t image,
+           const std::string& level, int threads) {
+            Scene s;
+            s.batch = size[0], s.rows = size[1], s.columns = size[2];
+            s.normal = as_map(normal), s.mask = as_map(mask);
+            s.sphere.values = reinterpret_cast<const float*>(values);
+            s.sphere.side = side;
+            std::copy(frame.begin(), frame.end(), s.sphere.frame);
+            s.model.table.values = s.sphere.values;
+            s.model.table.row = 3L * side;  // and no slabs: `fetch` reads its two rows twice
+            s.image = reinterpret_cast<float*>(image);
+            nb::gil_scoped_release released;
+            run(s, level, threads);
+        },
+        nb::arg("normal"), nb::arg("mask").none(), nb::arg("values"), nb::arg("side"),
+        nb::arg("frame"), nb::arg("size"), nb::arg("image"), nb::arg("level"), nb::arg("threads"),
+        "Radiance of a lit sphere [side, side, 3] at each normal into an image [B, 3, H, W].");
+    m.def(
         "differentiate",
         [](ModelOf& model, MapOf normal, MapOf light, MapOf view, MapOf gradient,
            std::array<std::int64_t, 3> size, std::array<std::int64_t, 3> maps, std::int64_t table,
@@ -216,6 +237,11 @@ NB_MODULE(_kernel, m) {
             s.lights = reinterpret_cast<const raden::Light*>(lights);
             s.lit = true;
             s.light_count = light_count;
+            for (long k = 0; k < light_count * s.batch; ++k) {
+                const raden::Light& light = s.lights[k];
+                s.bounded |= light.kind == raden::spot ||
+                             (light.kind == raden::point && light.reach < FLT_MAX);
+            }
             s.image = reinterpret_cast<float*>(image);
             nb::gil_scoped_release released;
             run(s, level, threads);

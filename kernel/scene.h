@@ -40,6 +40,16 @@ struct Light {
     float radiated[3];   // irradiance, or intensity
     float axis[3];       // of a spot
     float outer, inner;  // cosines
+    // the largest radiance it can cause, at distance 1 or at any, over what a pixel may lose
+    float reach;
+};
+
+// Radiance over the normals of a hemisphere around the viewer, [side, side, 3]: for lights and a
+// viewer at infinity. `frame` holds two axes across and the direction to the viewer.
+struct LitSphere {
+    const float* values = nullptr;
+    int side = 0;
+    float frame[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
 };
 
 struct Scene {
@@ -47,8 +57,10 @@ struct Scene {
     Map normal, light, view, position, mask;  // without data where the scene has none
     Map camera;                               // [B, 3]; the view is camera − position where given
     bool lit = false;                         // by lights; else f_r itself, with `light` as a map
+    LitSphere sphere;                         // instead of lights, where it has values
     const Light* lights = nullptr;            // [lights, batch]
     int light_count = 0;
+    bool bounded = false;  // by the tiles' positions: some light has an end
     Model model;
     float* image = nullptr;  // [B, 3, H, W] in one piece
     bool stream = false;     // write past the caches

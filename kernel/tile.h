@@ -1,5 +1,6 @@
 // Tiles of 64 pixels: first where each pixel lies in the table, then the table, then the sum.
 #pragma once
+#include <cmath>
 #include <cstdint>
 
 #include "formula.h"
@@ -40,6 +41,8 @@ struct Tile {
     alignas(64) float n[3][tile_pixels], v[3][tile_pixels], n_v[tile_pixels];
     unsigned seen[groups];
     alignas(64) float copies[4][3][tile_pixels];
+    float low[3], high[3];  // of the positions
+    float lost = 0.0f;      // of what may be left out, in lights
 
     Tile(const Scene& s, long b, long y, long x)
         : scene(s), image(b), row(y), first(x),
@@ -309,7 +312,58 @@ struct Tile {
         return unit(to);
     }
 
+    // The box around the tile's positions; only where a light may turn out too far away.
+    void bound_positions() {
+        const float* positions[3];
+        planes_of(scene.position, 3, positions);
+        for (int c = 0; c < 3; ++c) {
+            float least_of = FLT_MAX, greatest_of = -FLT_MAX;
+            for (int i = 0; i < count; ++i) {  // NaN is neither
+                least_of = positions[c][i] < least_of ? positions[c][i] : least_of;
+                greatest_of = positions[c][i] > greatest_of ? positions[c][i] : greatest_of;
+            }
+            low[c] = least_of, high[c] = greatest_of;
+        }
+    }
+
+    // Whether a light is left out: it shines past the tile, or all that it can add still fits into
+    // what may be lost.
+    bool left_out(const Light& light) {
+        float share = light.reach;
+        if (light.kind != directional && scene.bounded) {
+            float square = 0.0f;
+            for (int c = 0; c < 3; ++c) {
+                const float below = low[c] - light.at[c], above = light.at[c] - high[c];
+                const float apart = below > above ? below : above;
+                if (apart > 0.0f) square += apart * apart;
+            }
+            share = light.reach / square;
+            if (light.kind == spot && shines_past(light)) return true;
+        }
+        if (!(lost + share <= 1.0f)) return false;
+        lost += share;
+        return true;
+    }
+
+    // The cone around the tile, as the lamp sees it, against the lamp's own.
+    bool shines_past(const Light& light) const {
+        float to_centre = 0.0f, radius = 0.0f, axis = 0.0f, along = 0.0f;
+        for (int c = 0; c < 3; ++c) {
+            const float centre = 0.5f * (low[c] + high[c]) - light.at[c], half = 0.5f * (high[c] - low[c]);
+            to_centre += centre * centre, radius += half * half;
+            axis += light.axis[c] * light.axis[c], along += centre * light.axis[c];
+        }
+        if (!(radius < to_centre)) return false;
+        const float cosine = along / std::sqrt(to_centre * axis);
+        const float tile_sine = std::sqrt(radius / to_centre);
+        const float tile_cosine = std::sqrt(1.0f - tile_sine * tile_sine);
+        const float sine = std::sqrt(cosine * cosine < 1.0f ? 1.0f - cosine * cosine : 0.0f);
+        const bool beside = cosine < tile_cosine;  // the lamp's axis does not meet the tile
+        return beside && cosine * tile_cosine + sine * tile_sine < light.outer - 1e-4f;
+    }
+
     void add_light(const Light& light) {
+        if (left_out(light)) return;
         const float* positions[3];
         if (light.kind != directional) planes_of(scene.position, 3, positions);
         for (int g = 0; g < groups; ++g) {
@@ -346,15 +400,56 @@ struct Tile {
     void shade() {
         if (count == 0) return clear();
         see();
+        if (scene.bounded) bound_positions();
         for (int k = 0; k < scene.light_count; ++k) add_light(scene.lights[k * scene.batch + image]);
         for (int g = 0; g < groups; ++g) {
             V out[3];
-            for (int c = 0; c < 3; ++c) {
-                out[c] = V::load(sum[c] + g * V::lanes);
-                out[c] = select(magnitude(out[c]) <= FLT_MAX, out[c], 0.0f);
-                if (scene.mask.data) out[c] = out[c] * V::load(masked + g * V::lanes);
-            }
-            put(g, out);
+            for (int c = 0; c < 3; ++c) out[c] = V::load(sum[c] + g * V::lanes);
+            put_masked(g, out);
+        }
+        spread();
+    }
+
+    void put_masked(int g, V out[3]) {
+        for (int c = 0; c < 3; ++c) {
+            out[c] = select(magnitude(out[c]) <= FLT_MAX, out[c], 0.0f);
+            if (scene.mask.data) out[c] = out[c] * V::load(masked + g * V::lanes);
+        }
+        put(g, out);
+    }
+
+    // The same from a lit sphere: bilinear in the octahedral map of the hemisphere.
+    void look_up() {
+        if (count == 0) return clear();
+        const float* normals[3];
+        planes_of(scene.normal, 0, normals);
+        const float* f = scene.sphere.frame;
+        const float last = static_cast<float>(scene.sphere.side - 1);
+        for (int g = 0; g < groups; ++g) {
+            nothing_in(g);
+            const int i = g * V::lanes;
+            const Vector3<V> normal = unit(load(normals, i));
+            const V z = dot(normal, Vector3<V>{f[6], f[7], f[8]});
+            lit[g] = bits(V(0.0f) < z);
+            if (lit[g] == 0) continue;
+            const V x = dot(normal, Vector3<V>{f[0], f[1], f[2]}), y = dot(normal, Vector3<V>{f[3], f[4], f[5]});
+            const V scale = V(0.5f * last) / (magnitude(x) + magnitude(y) + greatest(z, tiny));
+            const V across = least(greatest(fma(x + y, scale, 0.5f * last), 0.0f), last);
+            const V down = least(greatest(fma(x - y, scale, 0.5f * last), 0.0f), last);
+            const V column = least(floor_of(across), last - 1.0f), line = least(floor_of(down), last - 1.0f);
+            fma(line, V(last + 1.0f), column).store_int(cells.first + i);
+            (V(1.0f) - (down - line)).store(cells.weight[0] + i);
+            (down - line).store(cells.weight[1] + i);
+            V(0.0f).store(cells.weight[2] + i);
+            V(0.0f).store(cells.weight[3] + i);
+            (V(1.0f) - (across - column)).store(cells.near + i);
+            (across - column).store(cells.far + i);
+        }
+        read_table();
+        for (int g = 0; g < groups; ++g) {
+            V out[3];
+            collect(g, out);
+            put_masked(g, out);
         }
         spread();
     }
@@ -367,7 +462,9 @@ void shade_tiles(const Scene& scene, long first_tile, long last_tile) {
         const long line = i / across;
         Tile<V> tile(scene, line / scene.rows, line % scene.rows, i % across * tile_pixels);
         tile.select_pixels();
-        if (scene.lit)
+        if (scene.sphere.values)
+            tile.look_up();
+        else if (scene.lit)
             tile.shade();
         else
             tile.reflect();

@@ -26,6 +26,7 @@ from raden_torch.errors import InputError
 from raden_torch.geometry import XYZ_DIM
 
 if TYPE_CHECKING:
+    from raden_torch.brdf.lit_sphere import LitSphere
     from raden_torch.brdf.model import RadenBrdf
 
 try:
@@ -126,6 +127,29 @@ def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
     )
 
 
+def look_up(sphere: LitSphere, normal: Tensor, mask: Tensor | None) -> Tensor:
+    """The radiance of a lit sphere at each normal, 0 behind it, times the mask.
+
+    Args:
+        normal, mask: `[B, 3, H, W]` and `[B or 1, 1, H or 1, W or 1]` on the CPU.
+    """
+    b, _, h, w = normal.shape
+    image = torch.empty(normal.shape, dtype=torch.float32)
+    maps = [None if m is None else m.float().expand(b, -1, h, w) for m in (normal, mask)]
+    if image.numel() > 0:
+        _kernel.look_up(
+            *(None if m is None else _address(m) for m in maps),
+            sphere.radiance.data_ptr(),
+            len(sphere.radiance),
+            tuple(sphere.frame.flatten().tolist()),
+            (b, h, w),
+            image.data_ptr(),
+            _level_that_is_on(),
+            torch.get_num_threads(),
+        )
+    return image
+
+
 def asks_for_gradient(model: RadenBrdf, *inputs: Tensor | None) -> bool:
     """Whether autograd records what is done with these."""
     tensors = (t for t in (*inputs, *model.parameters()) if t is not None)
@@ -152,7 +176,7 @@ def shade(
         model: the reflection model.
         normal, view, position, mask: as in `GBuffer`, maps `[B, C, H, W]`.
         camera: `[1 or B, 3]`; the view is camera − position where no view is given.
-        lights: `[lights, 1 or B, 12]` as `lights.packed` makes it.
+        lights: `[lights, 1 or B, 13]` as `lights.packed` makes it.
     """
     maps = (normal, view, position, camera, mask, lights)
     return torch.ops.raden_torch.shade(*maps, *_arguments(model))

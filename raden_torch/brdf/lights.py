@@ -103,17 +103,26 @@ def as_map(value: Triple, like: Tensor) -> Tensor:
     return tensor.reshape(-1, 3, 1, 1)
 
 
-def packed(lights: Sequence[Light], position: Tensor | None, like: Tensor) -> Tensor:
-    """`[lights, 1 or B, 12]` for the fused kernel: kind (0 directional, 1 point, 2 spot), unit
-    direction or position, irradiance or intensity, axis, cosines of the outer and inner angle."""
-    rows = [_row(light, position, like) for light in lights]
+def packed(
+    lights: Sequence[Light],
+    position: Tensor | None,
+    like: Tensor,
+    may_be_lost: Tensor | float = 0.0,
+) -> Tensor:
+    """`[lights, 1 or B, 13]` for the fused kernel: kind (0 directional, 1 point, 2 spot), unit
+    direction or position, irradiance or intensity, axis, cosines of the outer and inner angle, and
+    the reach: irradiance or intensity over `may_be_lost` (`[3]`, the irradiance that all lights
+    left out at a pixel may have together), the largest of the three channels."""
+    rows = [_row(light, position, like, may_be_lost) for light in lights]
     if not rows:
-        return like.new_zeros(0, 1, 12, dtype=torch.float32)
+        return like.new_zeros(0, 1, 13, dtype=torch.float32)
     batch = max(len(row) for row in rows)
     return torch.stack([row.expand(batch, -1) for row in rows])
 
 
-def _row(light: Light, position: Tensor | None, like: Tensor) -> Tensor:
+def _row(
+    light: Light, position: Tensor | None, like: Tensor, may_be_lost: Tensor | float
+) -> Tensor:
     def columns(value: Triple) -> Tensor:
         return torch.as_tensor(value, dtype=dtype, device=like.device).reshape(-1, 3)
 
@@ -128,7 +137,10 @@ def _row(light: Light, position: Tensor | None, like: Tensor) -> Tensor:
     if isinstance(light, SpotLight):
         kind, axis = 2, columns(light.target) - at
         cosines = torch.cos(torch.deg2rad(cosines.new_tensor([[light.outer_deg, light.inner_deg]])))
-    parts = [at.new_full((1, 1), kind), at, columns(radiated), axis, cosines]
+    colour = columns(radiated)
+    # 0 / 0, no light and nothing to be left out, is no reach, either
+    reach = torch.nan_to_num((colour.abs() / may_be_lost).amax(1, keepdim=True), nan=0.0)
+    parts = [at.new_full((1, 1), kind), at, colour, axis, cosines, reach]
     batch = max(len(part) for part in parts)
     return torch.cat([part.expand(batch, -1) for part in parts], dim=1)
 

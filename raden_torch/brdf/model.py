@@ -126,6 +126,20 @@ class RadenBrdf(nn.Module):
             f = f + self.specular_gain * weight * (total - diffuse)
         return f
 
+    def upper_bound(self) -> Tensor:
+        """`[3]`: what |f_r| of each channel cannot exceed in any geometry, in 1/sr.
+
+        With 0 ≤ w ≤ 1 and the diffuse part within 0…S, eq. (2) lies within
+        |I_s| max|table| + max(|I_d|, |I_d − I_s|) S.
+        """
+        specular, body = (torch.as_tensor(g) for g in (self.specular_gain, self.diffuse_gain))
+        share = body.abs()
+        bound = torch.zeros(3)
+        if self.table is not None:
+            bound = specular.abs() * self.table.values.detach().abs().amax((0, 1, 2))
+            share = torch.maximum(share, (body - specular).abs())
+        return bound if self.diffuse is None else bound + share * self.diffuse.scale.detach().abs()
+
     def check_device(self, like: Tensor) -> None:
         """Raise InputError, in one line, unless the model is where the maps are."""
         for name, p in self.named_parameters():

@@ -327,7 +327,7 @@ def test_the_operators_are_registered_as_torch_wants_them(model) -> None:
         operator_arguments(model, maps, gradients=True),
         test_utils=tests,
     )
-    lamps = torch.rand(2, 1, 12)
+    lamps = torch.rand(2, 1, 13)
     lamps[..., 0] = 0
     torch.library.opcheck(
         torch.ops.raden_torch.shade.default,

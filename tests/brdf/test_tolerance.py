@@ -1,0 +1,180 @@
+"""What `shade` may leave out: never more than the tolerance, and nothing at all without one."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import raden_torch as rt
+from raden_torch.brdf import kernel
+from raden_torch.brdf.lit_sphere import lit_sphere
+from raden_torch.brdf.model import CosineDiffuse
+from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.errors import InputError
+
+needs_kernel = pytest.mark.skipif(not kernel.LEVELS, reason="the kernel was not built here")
+
+
+@pytest.fixture(scope="module")
+def model() -> rt.RadenBrdf:
+    """A smooth lobe on the paper's grid."""
+    a, r, t = torch.meshgrid(
+        torch.linspace(0, 70, 15), *2 * [torch.linspace(-70, 70, 29)], indexing="ij"
+    )
+    lobe = torch.exp(-(((r - a) / 25) ** 2) - (t / 25) ** 2)[..., None]
+    diffuse = CosineDiffuse(torch.tensor([0.1, 0.2, 0.3]), torch.tensor([0.5, 1.0, 2.0]))
+    table = ReflectanceTable(0.1 + lobe * torch.tensor([1.0, 1.5, 2.0]), (0, -70, -70), (5, 5, 5))
+    return rt.RadenBrdf(diffuse, table).requires_grad_(False)
+
+
+def plate(height: int, width: int) -> rt.GBuffer:
+    """A wavy plate, 20 wide, seen from far above."""
+    y, x = torch.meshgrid(
+        torch.linspace(-10, 10, height), torch.linspace(-10, 10, width), indexing="ij"
+    )
+    one = torch.ones_like(x)
+    normal = torch.stack([0.3 * torch.sin(3 * x), 0.3 * torch.sin(2 * y + x), one])[None]
+    return rt.GBuffer(normal, view=(0.1, 0.2, 1.0), position=torch.stack([x, y, 0 * x])[None])
+
+
+def lamps(count: int, make: type, seed: int = 1) -> list[rt.PointLight]:
+    generator = torch.Generator().manual_seed(seed)
+    at = torch.rand(count, 3, generator=generator) * torch.tensor([20.0, 20.0, 1.0])
+    at = at - torch.tensor([10.0, 10.0, -0.5])
+    if make is rt.SpotLight:
+        aim = torch.tensor([0.3, 0.1, -1.0])
+        return [rt.SpotLight(p, p + aim, inner_deg=5, outer_deg=20) for p in at]
+    return [rt.PointLight(p) for p in at]
+
+
+def distant(count: int) -> list[rt.DirectionalLight]:
+    generator = torch.Generator().manual_seed(4)
+    to = torch.randn(count, 3, generator=generator) + torch.tensor([0.0, 0.0, 2.0])
+    colours = torch.rand(count, 3, generator=generator)
+    return [rt.DirectionalLight(d, e) for d, e in zip(to, colours, strict=True)]
+
+
+@pytest.fixture
+def spheres(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The sides of the lit spheres that were read while the test ran."""
+    read: list[int] = []
+    look_up = kernel.look_up
+
+    def spy(sphere, *others):
+        read.append(len(sphere.radiance))
+        return look_up(sphere, *others)
+
+    monkeypatch.setattr(kernel, "look_up", spy)
+    return read
+
+
+@needs_kernel
+@pytest.mark.parametrize("level", kernel.LEVELS)
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-2, 0.1, 1.0])
+def test_what_lights_lose_stays_within_the_tolerance(model, level, tolerance) -> None:
+    gbuffer, lights = plate(64, 200), lamps(40, rt.PointLight)
+    with kernel.using(level):
+        exact = rt.shade(model, gbuffer, lights)
+        found = rt.shade(model, gbuffer, lights, tolerance=tolerance)
+    lost = (exact - found).amax()
+    assert (exact - found).abs().amax() <= tolerance
+    assert (lost > 0) == (tolerance >= 0.1)  # and it is made use of
+
+
+@needs_kernel
+@pytest.mark.parametrize("level", kernel.LEVELS)
+def test_spots_that_shine_past_a_tile_are_not_missed(model, level) -> None:
+    gbuffer, lights = plate(64, 200), lamps(30, rt.SpotLight)
+    with kernel.using(level):
+        together = rt.shade(model, gbuffer, lights)
+        one_by_one = sum(rt.shade(model, gbuffer, light) for light in lights)
+    with kernel.using(kernel.OFF):
+        eager = rt.shade(model, gbuffer, lights)
+    torch.testing.assert_close(together, one_by_one, rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(together, eager, rtol=1e-4, atol=1e-4)
+
+
+@needs_kernel
+@settings(deadline=None, max_examples=60)
+@given(
+    st.tuples(*3 * [st.floats(-3, 3)]),
+    st.tuples(*3 * [st.floats(-3, 3)]),
+    st.floats(1, 170),
+)
+def test_any_spot_lights_what_the_eager_form_lights(at, target, outer) -> None:
+    position = torch.rand(1, 3, 4, 64, generator=torch.Generator().manual_seed(2))
+    position = position * torch.linspace(0.01, 4, 4)[:, None]  # small tiles and large ones
+    normal = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand_as(position)
+    gbuffer = rt.GBuffer(normal, view=(0.0, 0.0, 1.0), position=position)
+    flat = rt.RadenBrdf(CosineDiffuse(torch.ones(3), torch.full((3,), 0.1)), None)
+    flat.requires_grad_(False)
+    spot = rt.SpotLight(at, target, inner_deg=0.5, outer_deg=outer)
+    with kernel.using(kernel.OFF):
+        eager = rt.shade(flat, gbuffer, spot)
+    torch.testing.assert_close(rt.shade(flat, gbuffer, spot), eager, rtol=1e-3, atol=1e-4)
+
+
+@needs_kernel
+@pytest.mark.parametrize("level", kernel.LEVELS)
+@pytest.mark.parametrize("count", [1, 6])
+def test_a_lit_sphere_stays_within_the_tolerance(model, level, count, spheres) -> None:
+    gbuffer, lights = plate(700, 1100), distant(count)
+    behind = gbuffer.normal.clone()
+    behind[..., :50, :] *= -1
+    behind[..., 50, :] = 0
+    behind[..., 51, :] = float("nan")
+    for normal in (gbuffer.normal, behind):
+        scene = rt.GBuffer(normal, view=gbuffer.view, mask=torch.rand(1, 1, 700, 1100))
+        with kernel.using(level):
+            exact = rt.shade(model, scene, lights)
+            tolerance = 0.03 * float(exact.amax())
+            found = rt.shade(model, scene, lights, tolerance=tolerance)
+        assert (exact - found).abs().amax() <= tolerance
+        assert torch.equal(exact == 0, found == 0)
+    assert len(spheres) == 2
+
+
+@needs_kernel
+def test_a_sphere_is_made_only_where_it_pays(model, spheres) -> None:
+    lights = distant(3)
+    rt.shade(model, plate(64, 64), lights, tolerance=1.0)  # few pixels
+    rt.shade(model, plate(700, 1100), lights)  # exact
+    rt.shade(model, plate(700, 1100), lights, tolerance=1e-6)  # too fine
+    near = [*lights, rt.PointLight((0.0, 0.0, 2.0))]
+    rt.shade(model, plate(700, 1100), near, tolerance=1.0)
+    scene = plate(700, 1100)
+    rt.shade(model, rt.GBuffer(scene.normal, view=scene.normal), lights, tolerance=1.0)
+    assert spheres == []
+
+
+def test_a_sphere_of_a_known_function_is_as_close_as_it_says() -> None:
+    def cosine(n: torch.Tensor) -> torch.Tensor:
+        return (
+            (n * torch.tensor([0.6, 0.0, 0.8]).view(1, 3, 1, 1)).sum(1, keepdim=True).expand_as(n)
+        )
+
+    view = torch.tensor([2.0, -1.0, 0.5])
+    sphere = lit_sphere(cosine, view, lights=8, pixels=10**6, tolerance=4e-3)
+    assert sphere is not None
+    assert sphere.error <= 4e-3
+    torch.testing.assert_close(sphere.frame[2], torch.nn.functional.normalize(view, dim=0))
+    torch.testing.assert_close(sphere.frame @ sphere.frame.T, torch.eye(3), atol=1e-6, rtol=0)
+
+
+@needs_kernel
+@pytest.mark.parametrize("gains", [(1.0, 1.0), (0.3, 1.0), (1.0, 0.3), (0.5, -2.0)])
+def test_the_upper_bound_is_one(model, gains, random_vectors) -> None:
+    model.diffuse_gain, model.specular_gain = gains
+    n, l, v = (random_vectors(50_000, seed).float() for seed in (1, 2, 3))  # noqa: E741
+    largest, bound = model(n, l, v).abs().amax((0, 2, 3)), model.upper_bound()
+    model.diffuse_gain = model.specular_gain = 1.0
+    assert (largest <= bound).all()
+    assert (bound <= 3 * largest).all()
+
+
+@pytest.mark.parametrize("tolerance", [-1.0, float("nan"), float("inf")])
+def test_a_wrong_tolerance_is_one_line(model, tolerance) -> None:
+    with pytest.raises(InputError, match=r"^tolerance [^\n]*was wanted$"):
+        rt.shade(model, plate(4, 4), distant(1), tolerance=tolerance)
