@@ -1,9 +1,10 @@
 """How fast the model is evaluated: ratios within one run, losses beside wins.
 
-`naive` is what one writes first: `atan2`, `acos` and a 5-D `grid_sample`. `floor` copies a tensor
-so that as many bytes move as the model reads and writes (48 a pixel: three maps in, one image out).
-Each form is timed in turn, so that a drift of the machine hits all alike. Results go to
-benchmarks/results/kernel.json; nothing is asserted.
+`naive` is what one writes first (`raden_torch.bench.naive`). `floor` copies a tensor, so that as
+many bytes move as the model reads and writes (48 a pixel: three maps in, one image out). Each form
+is timed in turn, so that a drift of the machine hits all alike. What is skipped is counted in CPU
+seconds of one thread, which neighbours on the machine disturb less. Results go to
+benchmarks/results/kernel.json and kernel.png; nothing is asserted.
 """
 
 from __future__ import annotations
@@ -15,13 +16,14 @@ import platform
 import statistics
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 import raden_torch as rt
-from raden_torch import geometry
+from raden_torch.bench import naive
 from raden_torch.brdf import kernel
 from raden_torch.brdf.model import CosineDiffuse
 from raden_torch.brdf.table import ReflectanceTable
@@ -29,45 +31,18 @@ from raden_torch.brdf.table import ReflectanceTable
 FRAME = (1080, 1920)
 SIZES = [(64, 64), (256, 256), (512, 512), (1080, 1920), (2160, 3840)]
 Maps = tuple[Tensor, Tensor, Tensor]
+Forms = dict[str, Callable[[], object]]
 
 
-def naive(model: rt.RadenBrdf, normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
-    """The straightforward form: cross products, quadrants, and one 5-D lookup."""
-    n, l, v = (torch.nn.functional.normalize(m, dim=1) for m in (normal, light, view))  # noqa: E741
-    p = torch.nn.functional.normalize(torch.linalg.cross(l, v, dim=1), dim=1)
-    sine = geometry.dot(n, p)
-    flat = torch.nn.functional.normalize(n - sine * p, dim=1)
-    a = torch.atan2(geometry.dot(torch.linalg.cross(l, flat, dim=1), p), geometry.dot(l, flat))
-    r = torch.atan2(geometry.dot(torch.linalg.cross(flat, v, dim=1), p), geometry.dot(flat, v))
-    t = torch.pi / 2 - torch.acos(sine.clamp(-1, 1))
-    flip = torch.where(a < 0, -1.0, 1.0)
-    a, r, t = a * flip, r * flip, t * flip
-    diffuse = model.diffuse(a, r, t)
-    table = model.table
-    position = torch.stack([t, r, a], -1).rad2deg()[:, :1]
-    last, first = (torch.tensor(x[::-1]) for x in (table.last_deg, table.first_deg))
-    at = 2 * (position - first) / (last - first) - 1
-    values = table.values.permute(3, 0, 1, 2)[None]
-    total = torch.nn.functional.grid_sample(
-        values, at, padding_mode="border", align_corners=True
-    ).squeeze(2)
-    step = 2 * torch.tensor(table.step_deg[::-1]) / (last - first)
-    weight = (1 - (at.abs() - 1).clamp(min=0) / step).clamp(min=0).prod(-1)
-    f = diffuse + weight * (total - diffuse)
-    return torch.where((geometry.dot(n, l) > 0) & (geometry.dot(n, v) > 0), f, 0.0)
-
-
-def table_model(nodes: tuple[int, int, int]) -> rt.RadenBrdf:
-    """A smooth lobe on 0…70° x ±70° x ±70°."""
+def table_model() -> rt.RadenBrdf:
+    """A smooth lobe on 0…70° x ±70° x ±70° by 5°."""
     a, r, t = torch.meshgrid(
-        torch.linspace(0, 70, nodes[0]), *(torch.linspace(-70, 70, n) for n in nodes[1:]),
-        indexing="ij",
-    )  # fmt: skip
+        torch.linspace(0, 70, 15), *2 * [torch.linspace(-70, 70, 29)], indexing="ij"
+    )
     lobe = torch.exp(-(((r - a) / 12) ** 2) - (t / 12) ** 2)[..., None]
     values = 0.1 + lobe * torch.tensor([1.0, 1.5, 2.0])
-    steps = (70 / (nodes[0] - 1), 140 / (nodes[1] - 1), 140 / (nodes[2] - 1))
     diffuse = CosineDiffuse(torch.tensor([0.1, 0.2, 0.3]), torch.tensor([0.5, 1.0, 2.0]))
-    return rt.RadenBrdf(diffuse, ReflectanceTable(values, (0.0, -70.0, -70.0), steps))
+    return rt.RadenBrdf(diffuse, ReflectanceTable(values, (0.0, -70.0, -70.0), (5.0, 5.0, 5.0)))
 
 
 def random_maps(height: int, width: int) -> Maps:
@@ -97,15 +72,19 @@ def plate_maps(height: int, width: int) -> Maps:
     return n, l, v
 
 
-def times(forms: dict[str, Callable[[], object]], runs: int) -> dict[str, dict[str, float]]:
+def times(
+    forms: dict[str, Callable[[], object]],
+    runs: int,
+    clock: Callable[[], float] = time.perf_counter,
+) -> dict[str, dict[str, float]]:
     """Milliseconds of each form, taken in turn."""
     taken: dict[str, list[float]] = {name: [] for name in forms}
     for _ in range(runs + 1):
         for name, form in forms.items():
             form()  # the one before must not leave its threads spinning or its caches warm
-            start = time.perf_counter()
+            start = clock()
             form()
-            taken[name].append(1e3 * (time.perf_counter() - start))
+            taken[name].append(1e3 * (clock() - start))
     return {
         name: {"median": statistics.median(ms[1:]), "least": min(ms[1:])}
         for name, ms in taken.items()
@@ -125,13 +104,35 @@ def at_level(level: str, form: Callable[..., object], *arguments: object) -> Cal
     return run
 
 
-def forms_of(model: rt.RadenBrdf, maps: Maps) -> dict[str, Callable[[], object]]:
-    forms: dict[str, Callable[[], object]] = {
+def forms_of(plain: rt.RadenBrdf, model: rt.RadenBrdf, maps: Maps) -> Forms:
+    """The model's forms, beside the naive form of the plain model."""
+    forms: Forms = {
         "floor": copy_of(maps[0].numel() // 3),
-        "naive": lambda: naive(model, *maps),
+        "naive": lambda: naive(plain, *maps),
         "eager": at_level(kernel.OFF, model, *maps),
     }
     return forms | {f"kernel {level}": at_level(level, model, *maps) for level in kernel.LEVELS}
+
+
+def training(plain: rt.RadenBrdf, model: rt.RadenBrdf, maps: Maps) -> Forms:
+    """Forward and backward by normals, table and diffuse part."""
+    change = torch.randn(maps[0].shape, generator=torch.Generator().manual_seed(5))
+
+    def step(form: Callable[..., Tensor], of: rt.RadenBrdf, level: str) -> Callable[[], object]:
+        def run() -> None:
+            normal = maps[0].clone().requires_grad_()
+            with kernel.using(level), torch.enable_grad():
+                form(normal, *maps[1:]).backward(change)
+            of.zero_grad()
+
+        return run
+
+    forms: Forms = {
+        "floor": copy_of(maps[0].numel() // 3),
+        "naive": step(partial(naive, plain), plain, kernel.OFF),
+        "eager": step(model, model, kernel.OFF),
+    }
+    return forms | {f"kernel {level}": step(model, model, level) for level in kernel.LEVELS}
 
 
 def ratios(ms: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
@@ -146,22 +147,88 @@ def ratios(ms: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     }
 
 
-def shading(model: rt.RadenBrdf, runs: int) -> dict[str, dict[str, float]]:
-    """`shade` of a frame under two lamps: the whole of it, and a tenth."""
+def skipping(model: rt.RadenBrdf, runs: int) -> dict[str, dict[str, float]]:
+    """What a frame costs that leaves something out, in CPU time of one thread."""
     normal, light, view = plate_maps(*FRAME)
     lamps = [rt.DirectionalLight((0.3, 0.2, 1.0)), rt.PointLight((0.5, 0.5, 2.0))]
-    block = torch.zeros(1, 1, *FRAME)
-    block[..., 300:700, 600:1118] = 1
-    scattered = (torch.rand(1, 1, *FRAME, generator=torch.Generator().manual_seed(1)) < 0.1).float()
-    forms = {}
-    for name, mask in {"whole": None, "10 % block": block, "10 % scattered": scattered}.items():
-        gbuffer = rt.GBuffer(normal, view, position=light, mask=mask)
-        forms[name] = at_level(kernel.level(), rt.shade, model, gbuffer, lamps)
-    gbuffer = rt.GBuffer(-normal, view, position=light)
-    forms["back-facing"] = at_level(kernel.level(), rt.shade, model, gbuffer, lamps)
-    gbuffer = rt.GBuffer(normal, view, position=light)
-    forms["whole, eager"] = at_level(kernel.OFF, rt.shade, model, gbuffer, lamps)
-    return times(forms, runs)
+    generator = torch.Generator().manual_seed(1)
+    inlay = (torch.rand(1, 1, 9, 15, generator=generator) < 0.1).float()
+    inlay = inlay.repeat_interleave(120, 2).repeat_interleave(128, 3)
+    scattered = (torch.rand(1, 1, *FRAME, generator=generator) < 0.1).float()
+    masks = {
+        "whole": None,
+        "a mask of ones": torch.ones(1, 1, *FRAME),
+        "a mask of zeros": torch.zeros(1, 1, *FRAME),
+        f"{100 * float(inlay.mean()):.1f} % in pieces": inlay,
+        "10 % scattered": scattered,
+    }
+    without_table = rt.RadenBrdf(model.diffuse, None)
+    without_diffuse = rt.RadenBrdf(None, model.table)
+    forms: Forms = {"reading a mask": scattered.sum}
+
+    def add(name: str, gbuffer: rt.GBuffer, lights: list[rt.DirectionalLight], **options) -> None:
+        of = options.pop("model", model)
+        forms[name] = at_level(kernel.level(), partial(rt.shade, **options), of, gbuffer, lights)
+
+    for name, mask in masks.items():
+        add(name, rt.GBuffer(normal, view, position=light, mask=mask), lamps)
+    add("back-facing", rt.GBuffer(-normal, view, position=light), lamps)
+    add("no specular part", rt.GBuffer(normal, view, position=light), lamps, model=without_table)
+    add("no diffuse part", rt.GBuffer(normal, view, position=light), lamps, model=without_diffuse)
+    add("no light", rt.GBuffer(normal, view), [])
+
+    x, y = (
+        c.expand(FRAME)
+        for c in (torch.linspace(-18, 18, FRAME[1]), torch.linspace(-10, 10, FRAME[0])[:, None])
+    )
+    far = torch.stack([x, y, torch.zeros(FRAME)])[None]
+    at = (torch.rand(32, 3, generator=generator) - 0.5) * torch.tensor([36.0, 20.0, 0.0])
+    at[:, 2] = 0.5
+    wide = rt.GBuffer(normal, view=(0.0, 0.0, 1.0), position=far)
+    spots = [rt.SpotLight(p, p - torch.tensor([0.0, 0.0, 1.0]), outer_deg=40) for p in at]
+    points = [rt.PointLight(p) for p in at]
+    suns = [rt.DirectionalLight(p / 20 + torch.tensor([0.0, 0.0, 1.0])) for p in at]
+    add("32 points", wide, points)
+    add("32 points, 1 % of the peak may be lost", wide, points, tolerance=peak(model, wide, points))
+    add("32 spots, 1/400 of the plate each", wide, spots)
+    large = rt.GBuffer(plate_maps(2160, 3840)[0], view=(0.0, 0.0, 1.0))
+    for count in (1, 8, 32):
+        one_percent = peak(model, large, suns[:count])
+        add(f"4K, {count} distant", large, suns[:count])
+        add(f"4K, {count} distant, 1 % of the peak", large, suns[:count], tolerance=one_percent)
+    torch.set_num_threads(1)
+    return times(forms, runs, time.process_time)
+
+
+def peak(model: rt.RadenBrdf, gbuffer: rt.GBuffer, lights: list[rt.DirectionalLight]) -> float:
+    """One percent of the largest radiance."""
+    return float(rt.shade(model, gbuffer, lights).amax()) / 100
+
+
+def say_ratios(name: str, rows: dict[str, dict[str, float]]) -> None:
+    print(f"\n{name}")
+    for form, row in rows.items():
+        print(
+            f"  {form:16s} {row['median']:8.2f} ms   {row['x faster than naive']:6.1f}"
+            f" x naive   {row['x floor']:6.2f} x floor"
+        )
+
+
+def plot(report: dict[str, object], path: Path) -> None:
+    """Every form's time over the floor, evaluated and trained."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    for ax, work in zip(figure.subplots(1, 2, sharey=True), ("evaluated", "trained"), strict=True):
+        for name, rows in report.items():
+            if f"1080p {work}" in name:
+                forms = {form: row["x floor"] for form, row in rows.items() if form != "floor"}
+                ax.plot(list(forms), list(forms.values()), "o-", label=name.split(", ", 1)[1])
+        ax.set(yscale="log", title=f"1080p {work}", ylabel="time / copy of 48 bytes a pixel")
+        ax.tick_params(axis="x", rotation=30)
+        ax.grid(alpha=0.3, which="both")
+        ax.legend(fontsize=7)
+    figure.savefig(path, dpi=110)
 
 
 def main() -> None:
@@ -170,7 +237,9 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    small, baked = table_model((15, 29, 29)), table_model((57, 113, 113))
+    plain = table_model()
+    # the shape that `fit` chooses by default, of the built-in shell
+    baked = rt.fit(rt.simulate_specimen("yakogai")).model
     report: dict[str, object] = {
         "machine": platform.processor() or platform.machine(),
         "threads": options.threads,
@@ -179,30 +248,31 @@ def main() -> None:
         "levels": kernel.LEVELS,
     }
     with torch.no_grad():
-        for table, model in {"15x29x29": small, "57x113x113": baked}.items():
+        for kind, model in {"the paper's table": plain, "the default": baked}.items():
             for scene, make in {"random": random_maps, "plate": plate_maps}.items():
-                rows = ratios(times(forms_of(model, make(*FRAME)), options.runs))
-                report[f"1080p, {table}, {scene}"] = rows
-                print(f"\n1080p, table {table}, {scene} geometries")
-                for name, row in rows.items():
-                    print(
-                        f"  {name:16s} {row['median']:8.2f} ms   {row['x faster than naive']:6.1f}"
-                        f" x naive   {row['x floor']:6.2f} x floor"
-                    )
+                maps = make(*FRAME)
+                for work, forms, runs in (
+                    ("evaluated", forms_of(plain, model, maps), options.runs),
+                    ("trained", training(plain, model, maps), max(1, options.runs // 4)),
+                ):
+                    name = f"1080p {work}, {kind}, {scene} geometries"
+                    report[name] = rows = ratios(times(forms, runs))
+                    say_ratios(name, rows)
         scaling = {}
         for size in SIZES:
-            taken = times({"kernel": at_level(kernel.level(), small, *plate_maps(*size))}, 5)
+            taken = times({"kernel": at_level(kernel.level(), plain, *plate_maps(*size))}, 5)
             scaling[f"{size[0]}x{size[1]}"] = 1e6 * taken["kernel"]["median"] / (size[0] * size[1])
         report["ns a pixel"] = scaling
         print("\nns a pixel:", ", ".join(f"{size} {ns:.2f}" for size, ns in scaling.items()))
-        report["shade"] = shaded = shading(small, options.runs)
-        print("\nshade, two lamps, 1080p")
-        for name, taken in shaded.items():
-            share = taken["median"] / shaded["whole"]["median"]
-            print(f"  {name:16s} {taken['median']:8.2f} ms   {100 * share:6.1f} % of the whole")
+        report["skipping"] = skipped = skipping(plain, max(3, options.runs // 3))
+        print("\nwhat is left out, in CPU milliseconds of one thread; 1080p where not said")
+        for name, taken in skipped.items():
+            share = taken["median"] / skipped["whole"]["median"]
+            print(f"  {name:40s} {taken['median']:8.2f} ms   {100 * share:6.1f} % of the whole")
     out = Path(__file__).with_name("results") / "kernel.json"
     out.parent.mkdir(exist_ok=True)
     out.write_text(json.dumps(report, indent=2) + "\n")
+    plot(report, out.with_suffix(".png"))
 
 
 if __name__ == "__main__":

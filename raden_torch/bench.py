@@ -87,12 +87,14 @@ def run_bench(
     *,
     say: Callable[[str], None] = print,
     frame: tuple[int, int] = _FRAME,
+    compiled: bool = False,
 ) -> Path:
     """Measure, write `bench.json` and `time_against_error.png` into a folder.
 
     Args:
         measurement, readings: a grid, and readings off it; the simulated shell where None.
         frame: height and width of the timed frame in pixels.
+        compiled: time the eager form under torch.compile, too.
 
     Returns:
         The path of the plot.
@@ -110,7 +112,7 @@ def run_bench(
     rows = []
     for name, result in models.items():
         delta_e = sphere_delta_e(result.model) if simulated else float("nan")
-        shaders = backends(result.model)
+        shaders = backends(result.model, compiled)
         ratios = _ratios(shaders, vectors)
         for (backend, precision), shader in shaders.items():
             accuracy = _score(shader, readings, PRECISIONS[precision])
@@ -175,17 +177,22 @@ def frame_vectors(height: int, width: int) -> tuple[Tensor, Tensor, Tensor]:
     return unit(normal, dim=1), unit(light, dim=1), unit(view, dim=1)
 
 
-def backends(model: RadenBrdf) -> dict[tuple[str, str], Shader]:
-    """Every way of this machine to evaluate a model without gradients, by backend and precision."""
+def backends(model: RadenBrdf, compiled: bool = False) -> dict[tuple[str, str], Shader]:
+    """Every way of this machine to evaluate a model without gradients, by backend and precision.
+
+    `compiled` adds the eager form under torch.compile, which needs a compiler and its time.
+    """
     found: dict[tuple[str, str], Shader] = {}
     for level in reversed(kernel.LEVELS):
         found[level, "float32"] = _no_grad(model, level)
     for precision in PRECISIONS:
         found["eager", precision] = _no_grad(model, kernel.OFF)
+    if compiled:
+        found["compiled", "float32"] = _no_grad(torch.compile(model), kernel.OFF)
     if kernel.LEVELS:
         found[kernel.LEVELS[-1], "float16"] = _no_grad(model, kernel.LEVELS[-1])
     if model.table is not None and model.table.pieces is None:
-        found["naive", "float32"] = naive_form(model)
+        found["naive", "float32"] = torch.no_grad()(partial(naive, model))
     return found
 
 
@@ -196,38 +203,36 @@ def _score(shader: Shader, readings: BrdfMeasurement, dtype: torch.dtype) -> Sco
     return score_of(f * FACTOR_PER_SR, readings)
 
 
-def naive_form(model: RadenBrdf) -> Shader:
-    """The model as one writes it first: acos, atan2 and a 5-D grid_sample of the plain table."""
+def naive(model: RadenBrdf, normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
+    """The model as one writes it first: asin, atan2 and a 5-D grid_sample of the plain table.
+
+    Differentiable; outside the table's box the diffuse part alone, without a fade.
+    """
     table, diffuse = model.table, model.diffuse
     assert table is not None and diffuse is not None  # noqa: PT018
-    volume = table.values.detach().permute(3, 0, 1, 2)[None].contiguous()
+    volume = table.values.permute(3, 0, 1, 2)[None]
     first = torch.tensor(table.first_deg)
     span = torch.tensor(table.last_deg) - first
-    scale, exponent = (p.detach().view(1, 3, 1, 1) for p in (diffuse.scale, diffuse.exponent))
-
-    @torch.no_grad()
-    def shader(normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
-        unit = torch.nn.functional.normalize
-        n, l, v = (unit(m, dim=1) for m in (normal, light, view))  # noqa: E741
-        p = unit(torch.linalg.cross(l, v, dim=1), dim=1)
-        projected = unit(n - geometry.dot(n, p) * p, dim=1)
-        across = torch.linalg.cross(p, projected, dim=1)
-        a = torch.atan2(-geometry.dot(l, across), geometry.dot(l, projected))
-        r = torch.atan2(geometry.dot(v, across), geometry.dot(v, projected))
-        t = torch.asin(geometry.dot(n, p).clamp(-1, 1))
-        flip = torch.where(a < 0, -1.0, 1.0)
-        a, r, t = a * flip, r * flip, t * flip
-        at = torch.rad2deg(torch.cat([a, r, t], dim=1)) - first.view(1, 3, 1, 1)
-        grid = (2 * at / span.view(1, 3, 1, 1) - 1).permute(0, 2, 3, 1).flip(-1)[:, None]
-        specular = torch.nn.functional.grid_sample(
-            volume, grid, align_corners=True, padding_mode="border"
-        )[:, :, 0]
-        body = scale * t.cos() * r.cos() * (1 - a.cos()).clamp(min=1e-12) ** exponent
-        inside = (grid.abs() <= 1).all(dim=-1)
-        f = torch.where(inside, specular, body)
-        return torch.where((geometry.dot(n, l) > 0) & (geometry.dot(n, v) > 0), f, 0.0)
-
-    return shader
+    scale, exponent = (p.view(1, 3, 1, 1) for p in (diffuse.scale, diffuse.exponent))
+    unit = torch.nn.functional.normalize
+    n, l, v = (unit(m, dim=1) for m in (normal, light, view))  # noqa: E741
+    p = unit(torch.linalg.cross(l, v, dim=1), dim=1)
+    projected = unit(n - geometry.dot(n, p) * p, dim=1)
+    across = torch.linalg.cross(p, projected, dim=1)
+    a = torch.atan2(-geometry.dot(l, across), geometry.dot(l, projected))
+    r = torch.atan2(geometry.dot(v, across), geometry.dot(v, projected))
+    t = torch.asin(geometry.dot(n, p).clamp(-1, 1))
+    flip = torch.where(a < 0, -1.0, 1.0)
+    a, r, t = a * flip, r * flip, t * flip
+    at = torch.rad2deg(torch.cat([a, r, t], dim=1)) - first.view(1, 3, 1, 1)
+    grid = (2 * at / span.view(1, 3, 1, 1) - 1).permute(0, 2, 3, 1).flip(-1)[:, None]
+    specular = torch.nn.functional.grid_sample(
+        volume, grid, align_corners=True, padding_mode="border"
+    )[:, :, 0]
+    body = scale * t.cos() * r.cos() * (1 - a.cos()).clamp(min=1e-12) ** exponent
+    inside = (grid.abs() <= 1).all(dim=-1)
+    f = torch.where(inside, specular, body)
+    return torch.where((geometry.dot(n, l) > 0) & (geometry.dot(n, v) > 0), f, 0.0)
 
 
 def sphere_delta_e(model: RadenBrdf, size: int = 96) -> float:
@@ -274,7 +279,7 @@ def machine() -> dict[str, Any]:
     }
 
 
-def _no_grad(model: RadenBrdf, level: str | None = None) -> Shader:
+def _no_grad(model: Shader, level: str | None = None) -> Shader:
     """The model without gradients, by the kernel's instruction set; by what it takes where None."""
 
     def shader(normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
@@ -315,7 +320,8 @@ def _reference_naive() -> Shader:
     from raden_torch.brdf.table import ReflectanceTable
 
     table = ReflectanceTable(torch.ones(15, 29, 29, 3), (0.0, -70.0, -70.0), (5.0, 5.0, 5.0))
-    return naive_form(RadenBrdf(CosineDiffuse(torch.ones(3), torch.ones(3)), table))
+    model = RadenBrdf(CosineDiffuse(torch.ones(3), torch.ones(3)), table)
+    return torch.no_grad()(partial(naive, model))
 
 
 def _scaling(model: RadenBrdf) -> list[dict[str, float]]:
@@ -346,7 +352,7 @@ def _plot(rows: list[Row], chosen: str, measurement: BrdfMeasurement, path: Path
     from matplotlib.lines import Line2D
 
     figure = Figure(figsize=(11, 4.8), layout="constrained")
-    markers = dict(zip(dict.fromkeys(row.backend for row in rows), "osD^v", strict=False))
+    markers = dict(zip(dict.fromkeys(row.backend for row in rows), "osD^vP", strict=False))
     colours = dict(
         zip(SCHEMES, ("#444444", "#0072b2", "#56b4e9", "#e69f00", "#009e73"), strict=True)
     )

@@ -171,6 +171,9 @@ def bench(
     ] = None,
     readings: Annotated[Path | None, typer.Option(help="readings off that grid")] = None,
     height: Annotated[int, typer.Option(help="of the timed frame, which is 16:9")] = 720,
+    compiled: Annotated[
+        bool, typer.Option("--compiled", help="also under torch.compile; needs a C++ compiler")
+    ] = False,
 ) -> None:
     """Run time against error, of every interpolator and backend."""
     from raden_torch.bench import run_bench
@@ -184,7 +187,7 @@ def bench(
         raise InputError(f"{out}: is a file; name a folder")
     grid = None if measurement is None else load_measurement(measurement)
     off_grid = None if readings is None else load_measurement(readings)
-    plot_path = run_bench(out, grid, off_grid, frame=(height, height * 16 // 9))
+    plot_path = run_bench(out, grid, off_grid, frame=(height, height * 16 // 9), compiled=compiled)
     print(f"wrote {plot_path.with_name('bench.json')}\nwrote {plot_path}")
 
 
