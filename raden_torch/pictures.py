@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -116,8 +117,9 @@ def render_gbuffer_file(
     )
     stops = exposure_ev or 0.0
     lamps = lights or SHAPES["sphere"].lights
-    for rows in shade_file(model, scene, lamps, output, gain=2.0**stops):
-        shown(rows / scene.size[0])
+    with closing(shade_file(model, scene, lamps, output, gain=2.0**stops)) as bands:
+        for rows in bands:
+            shown(rows / scene.size[0])
     return stops
 
 

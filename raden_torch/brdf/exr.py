@@ -148,9 +148,7 @@ def write_arrays(
         raise InputError(f"{meant}: OpenEXR cannot write it: {reason}") from None
 
 
-def headers_of(
-    path: str | os.PathLike[str], *, by_rows: bool = False
-) -> dict[str, dict[str, Any]]:
+def headers_of(path: str | os.PathLike[str], *, by_rows: bool = False) -> dict[str, dict[str, Any]]:
     """The header of each part by its name, checked.
 
     Args:

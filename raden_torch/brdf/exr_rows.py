@@ -98,9 +98,7 @@ class ExrRows:
             self._decoded[part] = self._copied(part, top + self._top, bottom + self._top - 1)
         return self._decoded[part][channel]
 
-    def _mapped(
-        self, part: str, channel: str, top: int, bottom: int
-    ) -> NDArray[np.float32] | None:
+    def _mapped(self, part: str, channel: str, top: int, bottom: int) -> NDArray[np.float32] | None:
         chunks, header = self._chunks[part], self._headers[part]
         left, first, right, last = chunks.window
         first, last = max(first, top), min(last, bottom)

@@ -24,14 +24,15 @@ from raden_torch.brdf.exr_layers import Key, Layers
 from raden_torch.brdf.exr_rows import WRITTEN_LINES, ExrRows
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import Triple
-from raden_torch.brdf.normal_coding import Evidence, decoded
+from raden_torch.brdf.normal_coding import Evidence, decoded, has_negative
 from raden_torch.errors import InputError
 
 FAR = 1e9
 """Depth from which on there is nothing; so also 65504, the largest half."""
 MAX_SMOOTH_PX = 100.0
-BYTES_A_PIXEL, BYTES_A_CHANNEL = 160, 12
-"""What shading some rows takes at its peak, from the file's bytes to the written image's."""
+BYTES_A_PIXEL, BYTES_A_CHANNEL = 240, 10
+"""The most that reading, shading and writing some rows takes: that of the eager form. With the
+fused kernel it is a third."""
 _LARGEST_HALF = 65504.0
 _Y_UP = (1.0, -1.0, -1.0)  # x right, y down, z forward → x right, y up, z to the viewer
 
@@ -153,7 +154,9 @@ class GBufferFile:
         keys = named or layers.bare_vector()
         if keys is None:
             return None, False
-        found = evidence(self._file, keys, self.bands, until_negative=named is not None)
+        if named and any(has_negative(stacked(self._file, keys, *band)) for band in self.bands):
+            return keys, False
+        found = evidence(self._file, keys, self.bands)
         return (keys if named or found.is_normals else None), found.is_coded
 
     def _check(self, layers: Layers) -> None:
@@ -277,20 +280,9 @@ def stacked(file: ExrRows, keys: Sequence[Key], top: int, bottom: int) -> Tensor
     return torch.from_numpy(maps)[None]
 
 
-def evidence(
-    file: ExrRows,
-    keys: Sequence[Key],
-    bands: Sequence[tuple[int, int]],
-    *,
-    until_negative: bool = False,
-) -> Evidence:
-    """Of vectors in the file; `until_negative` stops where they can be coded no more."""
-    total = Evidence()
-    for top, bottom in bands:
-        total += Evidence.of(stacked(file, keys, top, bottom))
-        if until_negative and total.negative:
-            break
-    return total
+def evidence(file: ExrRows, keys: Sequence[Key], bands: Sequence[tuple[int, int]]) -> Evidence:
+    """Of vectors in the file, over all its bands."""
+    return sum((Evidence.of(stacked(file, keys, *band)) for band in bands), Evidence())
 
 
 def _bands(file: ExrRows, memory: int | None) -> list[tuple[int, int]]:

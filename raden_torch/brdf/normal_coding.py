@@ -1,7 +1,7 @@
 """Are these vectors normals, and are they stored as they are or as (n + 1)/2?
 
-Decided for a whole image, of counts that add up over its parts: an image that is read some rows at a
-time is decoded as if it were read at once.
+Decided for a whole image, by counts that add up over its parts: an image that is read some rows at
+a time is decoded as if it were read at once.
 """
 
 from __future__ import annotations
@@ -74,6 +74,11 @@ class Evidence:
         if self.is_coded:
             return self.decoded_negative > 0 and self.decoded_unit >= UNIT_SHARE * self.decoded
         return self.negative > 0 and self.unit >= UNIT_SHARE * self.vectors
+
+
+def has_negative(vectors: Tensor) -> bool:
+    """Whether `[B, 3, H, W]` as stored cannot be coded: cheaper than `Evidence.of`."""
+    return bool(((vectors < -UNIT_TOLERANCE) & _there(vectors)).any())
 
 
 def decoded(normal: Tensor, is_coded: bool) -> Tensor:

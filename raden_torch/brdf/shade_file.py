@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 
 import torch
 
@@ -20,7 +20,7 @@ def shade_file(
     output: str | os.PathLike[str],
     *,
     gain: float = 1.0,
-) -> Iterator[int]:
+) -> Generator[int, None, None]:
     """Shade a file's bands one after the other; the image is the one that `shade` makes at once.
 
     Args:
