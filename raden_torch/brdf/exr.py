@@ -241,6 +241,11 @@ def _check_header(where: str, header: Mapping[str, Any], by_rows: bool) -> int:
                 f"{where}: channel {channel.name!r} is subsampled "
                 f"{channel.xSampling} x {channel.ySampling}; one value a pixel (RGB) was wanted"
             )
+    tile = header.get("tiles")
+    if tile is not None and not 0 < tile.xSize * tile.ySize <= MAX_PIXELS:
+        raise InputError(
+            f"{where}: tiles of {tile.xSize} x {tile.ySize}; 1…{MAX_PIXELS} pixels were wanted"
+        )
     for window in ("dataWindow", "displayWindow"):
         height, width = _size(header[window])
         claims = f"{where}: its {window} claims {width} x {height} pixels"
