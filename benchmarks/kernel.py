@@ -29,7 +29,7 @@ from raden_torch.brdf.model import CosineDiffuse
 from raden_torch.brdf.table import ReflectanceTable
 
 FRAME = (1080, 1920)
-SIZES = [(64, 64), (256, 256), (512, 512), (1080, 1920), (2160, 3840)]
+SIZES = [(64, 64), (256, 256), (512, 512), (1080, 1920), (2160, 3840), (4320, 7680)]
 Maps = tuple[Tensor, Tensor, Tensor]
 Forms = dict[str, Callable[[], object]]
 

@@ -128,7 +128,8 @@ def check_vector_maps(**maps: Tensor) -> None:
         where = ", ".join(f"{name} on {m.device}" for name, m in maps.items())
         raise InputError(f"{where}: one device was wanted")
     try:
-        torch.broadcast_shapes(*(m.shape for m in maps.values()))
+        # not broadcast_shapes, which imports sympy when it is first called: half a second
+        torch.broadcast_tensors(*maps.values())
     except RuntimeError:
         shapes = ", ".join(f"{name} {list(m.shape)}" for name, m in maps.items())
         raise InputError(

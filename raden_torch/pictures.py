@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import torch
 from torch import Tensor
 
 from raden_torch.brdf.display import auto_exposure_ev, to_display, write_picture
-from raden_torch.brdf.gbuffer_file import read_gbuffer, write_image
+from raden_torch.brdf.gbuffer_file import GBufferFile, read_gbuffer, write_image
 from raden_torch.brdf.image_file import (
     Green,
     read_mask,
@@ -25,6 +26,7 @@ from raden_torch.brdf.model_file import load_model
 from raden_torch.brdf.plate import plate, shade_plate
 from raden_torch.brdf.relight import lamp_ring, relight, relit_strip
 from raden_torch.brdf.shade import shade
+from raden_torch.brdf.shade_file import shade_file
 from raden_torch.brdf.shapes import average_samples, sphere
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable
@@ -86,6 +88,39 @@ def render_gbuffer(
     gbuffer = read_gbuffer(path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px)
     with torch.no_grad():
         return shade(model, gbuffer, lights or SHAPES["sphere"].lights)
+
+
+def render_gbuffer_file(
+    model: RadenBrdf,
+    path: Path,
+    output: Path,
+    lights: Sequence[Light] | None = None,
+    *,
+    channels: dict[str, str] | None = None,
+    fov_deg: float | None = None,
+    smooth_px: float = 0.0,
+    exposure_ev: float | None = None,
+    memory: int | None = None,
+    shown: Callable[[float], object] = lambda share: None,
+) -> float:
+    """Light an EXR G-buffer of any size into a scene-linear EXR; see `brdf.shade_file`.
+
+    Args:
+        memory: bytes to use beside what the program takes; None reads the image at once.
+        shown: called with the share of the image that is done.
+
+    Returns:
+        The exposure in stops: what was asked for, or 0.
+    """
+    scene = GBufferFile(
+        path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px, memory=memory
+    )
+    stops = exposure_ev or 0.0
+    lamps = lights or SHAPES["sphere"].lights
+    with closing(shade_file(model, scene, lamps, output, gain=2.0**stops)) as bands:
+        for rows in bands:
+            shown(rows / scene.size[0])
+    return stops
 
 
 def save_picture(

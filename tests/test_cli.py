@@ -178,6 +178,8 @@ BAD = {
     "two numbers": ("render", "bad.csv", "--light", "1,2", "-o", "p.png"),
     "unknown light": ("render", "bad.csv", "--light", "lamp:1,2,3", "-o", "p.png"),
     "exposure": ("render", "bad.csv", "--exposure", "bright", "-o", "p.png"),
+    "memory": ("render", "bad.csv", "--gbuffer", "g.exr", "-o", "p.exr", "--memory", "much"),
+    "no G-buffer": ("render", "bad.csv", "--gbuffer", "none.exr", "-o", "p.exr"),
     "unknown file": ("info", "none"),
     "score of a measurement": ("info", "bad.csv", "--against", "bad.csv"),
     "gallery is a file": ("demo", "--out", "bad.csv"),

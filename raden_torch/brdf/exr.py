@@ -22,9 +22,11 @@ from raden_torch.errors import InputError
 from raden_torch.files import written_beside
 
 MAX_PIXELS = 2**26
-"""The largest window that is read or written, in pixels (8192 x 8192)."""
+"""The largest window that is read or written at once, in pixels (8192 x 8192)."""
 MAX_VALUES = 2**29
-"""The most values that are read from one file, pixels times channels (2 GiB as float32)."""
+"""The most values that are read at once, pixels times channels (2 GiB as float32)."""
+MAX_SIDE = 2**20
+"""The most rows or columns of a file that is read or written by rows."""
 
 Parts = dict[str, dict[str, NDArray[np.float32]]]
 
@@ -51,7 +53,7 @@ def list_channels(path: str | os.PathLike[str]) -> list[str]:
     Raises:
         InputError: as for `read_parts`, the pixels aside.
     """
-    header = {name: _channel_names(header) for name, header in _headers(path).items()}
+    header = {name: _channel_names(header) for name, header in headers_of(path).items()}
     return [key for key, _, _ in channel_keys(header)]
 
 
@@ -62,7 +64,7 @@ def read_parts(path: str | os.PathLike[str]) -> Parts:
         InputError: not an OpenEXR file, truncated or damaged; deep or subsampled; more pixels than
             `MAX_PIXELS` or more values than `MAX_VALUES` (found before the memory is taken).
     """
-    expected = _headers(path)
+    expected = headers_of(path)
     file, said = _open(path, header_only=False)
     if len(file.parts) != len(expected):
         reason = said.splitlines()[0].rpartition(" - ")[2] if said else "pixels are missing"
@@ -70,7 +72,7 @@ def read_parts(path: str | os.PathLike[str]) -> Parts:
             f"{path}: truncated or damaged ({reason}); a whole OpenEXR file was wanted"
         )
     return {
-        name: {c: _placed(channel.pixels, part.header) for c, channel in part.channels.items()}
+        name: {c: placed(channel.pixels, part.header) for c, channel in part.channels.items()}
         for name, part in zip(expected, file.parts, strict=True)
     }
 
@@ -112,8 +114,6 @@ def write_parts(
     Raises:
         InputError: as for `write_channels`, or several parts of which one has no name.
     """
-    import OpenEXR
-
     if not parts or (len(parts) > 1 and "" in parts):
         raise InputError(f"{path}: parts {list(parts)}; at least one, each with a name, was wanted")
     arrays = {
@@ -121,19 +121,42 @@ def write_parts(
         for part, channels in parts.items()
     }
     _check_sizes(path, arrays)
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with written_beside(path) as temporary:
-        try:
-            with _captured():
-                made = [OpenEXR.Part(dict(header), a, part) for part, a in arrays.items()]
-                OpenEXR.File(made).write(str(temporary))
-        except (RuntimeError, ValueError, TypeError) as error:
-            reason = " ".join(str(error).replace(str(temporary), str(path)).split())
-            raise InputError(f"{path}: OpenEXR cannot write it: {reason}") from None
+        write_arrays(temporary, arrays, {}, path)
 
 
-def _headers(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
-    """The header of each part by its name, checked."""
+def write_arrays(
+    path: str | os.PathLike[str],
+    parts: Mapping[str, Mapping[str, NDArray[Any]]],
+    header: Mapping[str, Any],
+    meant: object,
+) -> None:
+    """Write checked arrays as they are, ZIP-compressed, with these additions to the header.
+
+    Args:
+        meant: the file that messages name.
+    """
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
+    try:
+        with _captured():
+            made = [OpenEXR.Part(dict(header), dict(a), part) for part, a in parts.items()]
+            OpenEXR.File(made).write(str(path))
+    except (RuntimeError, ValueError, TypeError) as error:
+        reason = " ".join(str(error).replace(str(path), str(meant)).split())
+        raise InputError(f"{meant}: OpenEXR cannot write it: {reason}") from None
+
+
+def headers_of(path: str | os.PathLike[str], *, by_rows: bool = False) -> dict[str, dict[str, Any]]:
+    """The header of each part by its name, checked.
+
+    Args:
+        by_rows: the file is not read at once; its sides may be `MAX_SIDE`.
+
+    Raises:
+        InputError: as for `read_parts`, the pixels aside.
+    """
     _check_magic(path)
     file, _ = _open(path, header_only=True)
     headers: dict[str, dict[str, Any]] = {}
@@ -144,13 +167,13 @@ def _headers(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
             if name in headers:
                 raise InputError(f"{path}: two parts are called {name!r}; a name each was wanted")
             where = f"{path}: part {name!r}" if name else f"{path}"
-            values += _check_header(where, part.header)
+            values += _check_header(where, part.header, by_rows)
         except UnicodeDecodeError:
             raise InputError(f"{path}: a channel's or part's name is not UTF-8; damaged?") from None
         headers[name] = part.header
-    if values > MAX_VALUES:
+    if values > MAX_VALUES and not by_rows:
         raise InputError(
-            f"{path}: {values} values in all channels; at most {MAX_VALUES} are read: "
+            f"{path}: {values} values in all channels; at most {MAX_VALUES} are read at once: "
             "write the channels that are needed to a file of their own"
         )
     if not headers:
@@ -205,7 +228,7 @@ def _captured() -> Iterator[StringIO]:
         os.close(sink)
 
 
-def _check_header(where: str, header: Mapping[str, Any]) -> int:
+def _check_header(where: str, header: Mapping[str, Any], by_rows: bool) -> int:
     """The number of values in this part's channels."""
     import OpenEXR
 
@@ -218,13 +241,18 @@ def _check_header(where: str, header: Mapping[str, Any]) -> int:
                 f"{where}: channel {channel.name!r} is subsampled "
                 f"{channel.xSampling} x {channel.ySampling}; one value a pixel (RGB) was wanted"
             )
+    tile = header.get("tiles")
+    if tile is not None and not 0 < tile.xSize * tile.ySize <= MAX_PIXELS:
+        raise InputError(
+            f"{where}: tiles of {tile.xSize} x {tile.ySize}; 1…{MAX_PIXELS} pixels were wanted"
+        )
     for window in ("dataWindow", "displayWindow"):
         height, width = _size(header[window])
-        if height < 1 or width < 1 or height * width > MAX_PIXELS:
-            raise InputError(
-                f"{where}: its {window} claims {width} x {height} pixels; "
-                f"1…{MAX_PIXELS} pixels were wanted"
-            )
+        claims = f"{where}: its {window} claims {width} x {height} pixels"
+        if by_rows and not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
+            raise InputError(f"{claims}; 1…{MAX_SIDE} on each side were wanted")
+        if not by_rows and (height < 1 or width < 1 or height * width > MAX_PIXELS):
+            raise InputError(f"{claims}; 1…{MAX_PIXELS} pixels were wanted")
     if _overlap(header) is None:
         raise InputError(
             f"{where}: its data window lies outside its display window; an overlap was wanted"
@@ -260,7 +288,7 @@ def _overlap(header: Mapping[str, Any]) -> tuple[int, int, int, int] | None:
     return (left, top, right, bottom) if left <= right and top <= bottom else None
 
 
-def _placed(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[np.float32]:
+def placed(pixels: NDArray[Any], header: Mapping[str, Any]) -> NDArray[np.float32]:
     """The data window's pixels in the display window."""
     data, display = _corners(header["dataWindow"]), _corners(header["displayWindow"])
     overlap = _overlap(header)

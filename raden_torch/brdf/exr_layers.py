@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numpy as np
-import torch
-from numpy.typing import NDArray
-from torch import Tensor
-
-from raden_torch.brdf.exr import channel_keys, read_parts
+from raden_torch.brdf.exr_rows import ExrRows
 from raden_torch.errors import InputError
 
 NAMES: dict[str, tuple[str, ...]] = {
@@ -27,88 +21,58 @@ NAMES: dict[str, tuple[str, ...]] = {
 """The layer names that are known, compared in lower case, the first one first. A name found
 nowhere as a whole may be the last part of one layer's name ("ViewLayer.Normal")."""
 
-UNIT_SHARE = 0.8
-"""A bare RGB image holds normals where this share of its pixels that are not black has length 1."""
-UNIT_TOLERANCE = 0.02
-
 _VECTORS = ("xyz", "rgb")
 _SCALARS = ("v", "z", "r", "y")
+
+Key = tuple[str, str]
+"""Part and channel."""
 
 
 @dataclass(frozen=True)
 class Layers:
-    """The channels of a file by all the names that they go by.
+    """The channels of a file by all the names that they go by; no pixels.
 
     Attributes:
-        arrays: by name; in a multi-part file also as "part.name".
+        channels: by name; in a multi-part file also as "part.name".
         layers: layer in lower case → last part of the name in lower case → name.
         chosen: what the caller named.
-        listing: the channels as `list_channels` names them, for messages.
     """
 
-    path: str | os.PathLike[str]
-    arrays: dict[str, NDArray[np.float32]]
+    file: ExrRows
+    channels: dict[str, Key]
     layers: dict[str, dict[str, str]]
     chosen: Mapping[str, str]
-    listing: str
 
     @classmethod
-    def of(cls, path: str | os.PathLike[str], chosen: Mapping[str, str] | None) -> Layers:
+    def of(cls, file: ExrRows, chosen: Mapping[str, str] | None) -> Layers:
         unknown = [name for name in chosen or {} if name not in NAMES]
         if unknown:
             raise InputError(f"channels: {unknown[0]!r}; {', '.join(NAMES)} were wanted")
-        parts = read_parts(path)
-        keys = channel_keys(parts)
-        arrays = {key: parts[part][name] for key, part, name in keys}
-        if len(parts) > 1:
-            for _, part, name in keys:
-                arrays.setdefault(f"{part}.{name}", parts[part][name])
+        channels = {key: (part, name) for key, part, name in file.keys}
+        if len({part for part, _ in channels.values()}) > 1:
+            for _, part, name in file.keys:
+                channels.setdefault(f"{part}.{name}", (part, name))
         layers: dict[str, dict[str, str]] = {}
-        for name in arrays:
+        for name in channels:
             layer, _, last = name.lower().rpartition(".")
             layers.setdefault(layer, {}).setdefault(last, name)
-        shown = [key for key, _, _ in keys]
-        more = f" and {len(shown) - 40} more" if len(shown) > 40 else ""
-        return cls(path, arrays, layers, chosen or {}, ", ".join(shown[:40]) + more)
+        return cls(file, channels, layers, chosen or {})
 
     @property
-    def size(self) -> tuple[int, int]:
-        height, width = next(iter(self.arrays.values())).shape
-        return height, width
+    def listing(self) -> str:
+        """The channels as `list_channels` names them, for messages."""
+        shown = [key for key, _, _ in self.file.keys]
+        more = f" and {len(shown) - 40} more" if len(shown) > 40 else ""
+        return ", ".join(shown[:40]) + more
 
     def missing(self, what: str) -> InputError:
         return InputError(
-            f"{self.path}: {what}; it has the channels {self.listing}: name a layer of them, as in "
-            "normal=LAYER"
+            f"{self.file.path}: {what}; it has the channels {self.listing}: name a layer of them, "
+            "as in normal=LAYER"
         )
 
-    def camera_is_at_origin(self) -> InputError:
-        return InputError(
-            f"{self.path}: camera is given, but positions from depth have it at 0, 0, 0"
-        )
-
-    def normals(self) -> Tensor | None:
-        """`[1, 3, H, W]`, decoded, 0 where there are none."""
-        normal = self.vector("normal")
-        return self.bare_normals() if normal is None else decoded(normal)
-
-    def bare_normals(self) -> Tensor | None:
-        """The bare R, G, B, decoded, if they are unit vectors and no layer is called normals.
-
-        Some component must be negative: an image of pure red and blue has unit colours, too.
-        """
-        bare = self._stack(self._vector_in(""))
-        if bare is None or "normal" in self.chosen or self._named("normal", self._vectors()):
-            return None
-        normal = decoded(bare)
-        length = length_of(normal)
-        unit = (length[length > 0] - 1).abs() < UNIT_TOLERANCE
-        signed = bool((normal < -UNIT_TOLERANCE).any())
-        return normal if signed and bool(unit.float().mean() >= UNIT_SHARE) else None
-
-    def vector(self, what: str) -> Tensor | None:
-        """`[1, 3, H, W]` of the layer that was named, else of a known one, else None."""
-        names = None
+    def vector(self, what: str) -> tuple[Key, ...] | None:
+        """The three channels of the layer that was named, else of a known one, else None."""
         if what in self.chosen:
             text = self.chosen[what]
             names = self._listed(what, text) if "," in text else self._vector_in(text.lower())
@@ -116,10 +80,14 @@ class Layers:
                 raise self.missing(f"no layer {text!r} with X, Y, Z or R, G, B for the {what}")
         else:
             names = self._named(what, self._vectors())
-        return self._stack(names)
+        return self._keys(names)
 
-    def scalar(self, what: str) -> Tensor | None:
-        """`[1, 1, H, W]`, likewise."""
+    def bare_vector(self) -> tuple[Key, ...] | None:
+        """The channels R, G, B (or X, Y, Z) that are in no layer."""
+        return self._keys(self._vector_in(""))
+
+    def scalar(self, what: str) -> tuple[Key, ...] | None:
+        """The one channel, likewise."""
         if what in self.chosen:
             text = self.chosen[what]
             names = self._scalars().get(text.lower())
@@ -127,7 +95,7 @@ class Layers:
                 raise self.missing(f"no channel {text!r} for the {what}")
         else:
             names = self._named(what, self._scalars())
-        return self._stack(names)
+        return self._keys(names)
 
     def _named(
         self, what: str, candidates: Mapping[str, tuple[str, ...]]
@@ -138,7 +106,7 @@ class Layers:
                 return candidates[name]
         for name in filter(None, NAMES[what]):
             found = {
-                id(self.arrays[names[0]]): layer
+                self.channels[names[0]]: layer
                 for layer, names in candidates.items()
                 if layer.rpartition(".")[2] == name
             }
@@ -176,35 +144,10 @@ class Layers:
 
     def _listed(self, what: str, text: str) -> tuple[str, ...]:
         names = tuple(name.strip() for name in text.split(","))
-        absent = [name for name in names if name not in self.arrays]
+        absent = [name for name in names if name not in self.channels]
         if absent or len(names) != 3:
             raise self.missing(f"{text!r} for the {what} is not three of its channels")
         return names
 
-    def _stack(self, names: tuple[str, ...] | None) -> Tensor | None:
-        if names is None:
-            return None
-        return torch.from_numpy(np.stack([self.arrays[name] for name in names]))[None]
-
-
-def decoded(normal: Tensor) -> Tensor:
-    """Normals `[B, 3, H, W]` as stored → −1…1, and 0 where there are none.
-
-    They are taken as (n + 1)/2 where no value is below −0.02 and the median vector comes nearer to
-    unit length so. Then black pixels, and grey ones (0.5, 0.5, 0.5), have no normal.
-    """
-    finite = torch.isfinite(normal).all(dim=1, keepdim=True)
-    normal = torch.where(finite, normal, torch.zeros_like(normal))
-    there = (normal != 0).any(dim=1, keepdim=True)
-    if not there.any() or bool((normal < -UNIT_TOLERANCE).any()):
-        return normal
-    spread = 2 * normal - 1
-    as_is = (length_of(normal)[there] - 1).abs().median()
-    by_half = (length_of(spread)[there] - 1).abs().median()
-    if as_is <= by_half:
-        return normal
-    return torch.where(there & (length_of(spread) > 0.1), spread, torch.zeros_like(normal))
-
-
-def length_of(vectors: Tensor) -> Tensor:
-    return (vectors * vectors).sum(dim=1, keepdim=True).sqrt()  # vector_norm is 20 times slower
+    def _keys(self, names: tuple[str, ...] | None) -> tuple[Key, ...] | None:
+        return None if names is None else tuple(self.channels[name] for name in names)

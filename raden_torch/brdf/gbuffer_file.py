@@ -11,22 +11,28 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from math import radians, tan
+from math import lcm, radians, tan
+from typing import cast
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from raden_torch.brdf.exr import write_channels
-from raden_torch.brdf.exr_layers import Layers
+from raden_torch.brdf.exr_layers import Key, Layers
+from raden_torch.brdf.exr_rows import WRITTEN_LINES, ExrRows
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import Triple
+from raden_torch.brdf.normal_coding import Evidence, decoded, has_negative
 from raden_torch.errors import InputError
 
 FAR = 1e9
 """Depth from which on there is nothing; so also 65504, the largest half."""
 MAX_SMOOTH_PX = 100.0
+BYTES_A_PIXEL, BYTES_A_CHANNEL = 240, 10
+"""The most that reading, shading and writing some rows takes: that of the eager form. With the
+fused kernel it is a third."""
 _LARGEST_HALF = 65504.0
 _Y_UP = (1.0, -1.0, -1.0)  # x right, y down, z forward → x right, y up, z to the viewer
 
@@ -72,32 +78,162 @@ def read_gbuffer(
     Warns:
         UserWarning: the steps of half-precision depth will show in the normals.
     """
-    source = Layers.of(path, channels)
-    if view is not None and camera is not None:
-        raise InputError(f"{path}: view and camera are both given; one of them was wanted")
-    normal, depth = source.normals(), source.scalar("depth")
-    matrix = _matrix(intrinsics, fov_deg, source.size)
-    if not 0 <= smooth_px <= MAX_SMOOTH_PX:
-        raise InputError(f"smooth_px {smooth_px:g}; 0…{MAX_SMOOTH_PX:g} pixels were wanted")
-    if normal is not None:
-        gbuffer = _from_normals(source, normal, depth, matrix, camera, view)
-    elif depth is None:
-        raise source.missing("no normals and no depth")
-    elif matrix is None:
-        raise InputError(
-            f"{path}: depth without normals; give intrinsics or fov_deg, or name the normals' "
-            f"layer among its channels {source.listing}"
-        )
-    elif camera is not None:
-        raise source.camera_is_at_origin()
-    else:
-        gbuffer = _from_depth(source, depth, matrix, view, smooth_px)
-    if not (gbuffer.mask is None or bool((gbuffer.mask > 0).any())):
-        raise InputError(
-            f"{path}: no valid pixel; normals that are not zero, depth between 0 and {FAR:g} and a "
-            "mask above 0 were wanted"
-        )
+    file = GBufferFile(
+        path,
+        channels=channels,
+        intrinsics=intrinsics,
+        fov_deg=fov_deg,
+        camera=camera,
+        view=view,
+        smooth_px=smooth_px,
+    )
+    gbuffer = file.rows(0, file.size[0])
+    if not has_pixels(gbuffer):
+        raise file.is_empty()
     return gbuffer
+
+
+class GBufferFile:
+    """The G-buffer in an EXR file, read some rows at a time; arguments as for `read_gbuffer`.
+
+    Every band is as those rows of the whole.
+
+    Attributes:
+        size: height and width in pixels.
+        bands: (first row, row after the last) of each part that fits the memory.
+
+    Args:
+        memory: bytes that a band may take with all that shading it and writing it needs; where
+            None, the whole file is one band.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        channels: Mapping[str, str] | None = None,
+        intrinsics: Tensor | ArrayLike | None = None,
+        fov_deg: float | None = None,
+        camera: Triple | None = None,
+        view: Triple | None = None,
+        smooth_px: float = 0.0,
+        memory: int | None = None,
+    ) -> None:
+        if view is not None and camera is not None:
+            raise InputError(f"{path}: view and camera are both given; one of them was wanted")
+        if not 0 <= smooth_px <= MAX_SMOOTH_PX:
+            raise InputError(f"smooth_px {smooth_px:g}; 0…{MAX_SMOOTH_PX:g} pixels were wanted")
+        self.path, self._camera, self._view, self._smooth_px = path, camera, view, smooth_px
+        self._file = ExrRows(path)
+        self.size = self._file.size
+        self.bands = _bands(self._file, memory)
+        layers = Layers.of(self._file, channels)
+        self._normal, self._coded = self._normals(layers)
+        self._depth, self._mask = layers.scalar("depth"), layers.scalar("mask")
+        self._position = None if self._normal is None else layers.vector("position")
+        self._matrix = _matrix(intrinsics, fov_deg, self.size)
+        self._check(layers)
+
+    def rows(self, top: int, bottom: int) -> GBuffer:
+        """The rows from `top` to before `bottom`, a batch of 1 in float32."""
+        depth = self._read(self._depth, top, bottom)
+        if self._normal is not None:
+            return self._from_normals(depth, top, bottom)
+        return self._from_depth(cast(Tensor, depth))
+
+    def is_empty(self) -> InputError:
+        """What to raise where no pixel of all rows is valid."""
+        return InputError(
+            f"{self.path}: no valid pixel; normals that are not zero, depth between 0 and {FAR:g} "
+            "and a mask above 0 were wanted"
+        )
+
+    def _normals(self, layers: Layers) -> tuple[tuple[Key, ...] | None, bool]:
+        """Their channels, and whether they are coded, by the evidence of all rows."""
+        named = layers.vector("normal")
+        keys = named or layers.bare_vector()
+        if keys is None:
+            return None, False
+        if named and any(has_negative(stacked(self._file, keys, *band)) for band in self.bands):
+            return keys, False
+        found = evidence(self._file, keys, self.bands)
+        return (keys if named or found.is_normals else None), found.is_coded
+
+    def _check(self, layers: Layers) -> None:
+        pinhole = self._matrix is not None
+        at_origin = InputError(
+            f"{self.path}: camera is given, but positions from depth have it at 0, 0, 0"
+        )
+        if self._normal is not None:
+            if self._camera is not None and self._position is None:
+                if self._depth is not None and pinhole:
+                    raise at_origin
+                raise layers.missing("camera is given, but there are no positions (position=LAYER)")
+            return
+        if self._depth is None:
+            raise layers.missing("no normals and no depth")
+        if not pinhole:
+            raise InputError(
+                f"{self.path}: depth without normals; give intrinsics or fov_deg, or name the "
+                f"normals' layer among its channels {layers.listing}"
+            )
+        if self._camera is not None:
+            raise at_origin
+        if len(self.bands) > 1:
+            raise InputError(
+                f"{self.path}: depth without normals, which are made of the whole image at once: "
+                "more memory, or an image with normals, was wanted"
+            )
+
+    def _read(self, keys: tuple[Key, ...] | None, top: int, bottom: int) -> Tensor | None:
+        return None if keys is None else stacked(self._file, keys, top, bottom)
+
+    def _from_normals(self, depth: Tensor | None, top: int, bottom: int) -> GBuffer:
+        normal = decoded(cast(Tensor, self._read(self._normal, top, bottom)), self._coded)
+        position = self._read(self._position, top, bottom)
+        camera, view = self._camera, self._view
+        there = (normal != 0).any(dim=1, keepdim=True)
+        if depth is not None:
+            there = there & _is_depth(depth)
+        mask = self._masked(there, top, bottom)
+        rays = None if self._matrix is None else _rays(self._matrix, top, bottom, self.size[1])
+        if position is None and depth is not None and rays is not None:
+            position = torch.where(_is_depth(depth), depth, torch.ones_like(depth)) * rays
+            camera = (0.0, 0.0, 0.0) if view is None else None
+        if camera is not None:
+            return GBuffer(normal, position=position, camera=camera, mask=mask)
+        if view is None:
+            view = (0.0, 0.0, 1.0) if rays is None else -rays
+        elif isinstance(view, Tensor) and view.ndim == 4 and view.shape[2] == self.size[0]:
+            view = view[:, :, top:bottom]
+        return GBuffer(normal, view=_as_view(view), position=position, mask=mask)
+
+    def _from_depth(self, depth: Tensor) -> GBuffer:
+        matrix, (height, width) = cast(Tensor, self._matrix), self.size
+        there = _is_depth(depth)
+        if self._smooth_px <= 0:
+            _warn_of_steps(self.path, depth[there], matrix)
+        made = GBuffer.from_depth(_grown(depth, there, self._smooth_px), matrix)
+        y_up = depth.new_tensor(_Y_UP).view(3, 1, 1)
+        normal = torch.where(there, made.normal * y_up, torch.zeros_like(made.normal))
+        # the rays of the depth as it was stored, not of what the normals were made from
+        rays = _rays(matrix, 0, height, width)
+        position = torch.where(there, depth, torch.ones_like(depth)) * rays
+        mask = self._masked(there, 0, height)
+        if self._view is not None:
+            return GBuffer(normal, view=_as_view(self._view), position=position, mask=mask)
+        return GBuffer(normal, position=position, camera=(0.0, 0.0, 0.0), mask=mask)
+
+    def _masked(self, there: Tensor, top: int, bottom: int) -> Tensor:
+        mask = self._read(self._mask, top, bottom)
+        if mask is None:
+            return there.float()
+        return torch.nan_to_num(mask, nan=0.0).clamp(0, 1) * there
+
+
+def has_pixels(gbuffer: GBuffer) -> bool:
+    """Whether some pixel is not masked out."""
+    return gbuffer.mask is None or bool((gbuffer.mask > 0).any())
 
 
 def read_colour(
@@ -111,10 +247,15 @@ def read_colour(
     Args:
         channels: as for `read_gbuffer`, `{"colour": "Layer"}`.
     """
-    source = Layers.of(path, channels)
-    colour = source.vector("colour")
-    if colour is None or ("colour" not in source.chosen and source.bare_normals() is not None):
+    file = ExrRows(path)
+    layers = Layers.of(file, channels)
+    keys, bare, whole = layers.vector("colour"), layers.bare_vector(), _bands(file, None)
+    if keys is None:
         return None
+    may_be_normals = "colour" not in layers.chosen and layers.vector("normal") is None
+    if bare is not None and may_be_normals and evidence(file, bare, whole).is_normals:
+        return None
+    colour = stacked(file, keys, *whole[0])
     return torch.where(torch.isfinite(colour), colour, torch.zeros_like(colour))
 
 
@@ -122,59 +263,49 @@ def write_image(image: Tensor, path: str | os.PathLike[str]) -> None:
     """Write scene-linear `[1, 3, H, W]` RGB as an EXR of half floats, cut off at ±65504."""
     if image.ndim != 4 or image.shape[:2] != (1, 3):
         raise InputError(f"{path}: image of shape {list(image.shape)}; [1, 3, H, W] was wanted")
+    write_channels(path, in_halves(image), half=True)
+
+
+def in_halves(image: Tensor) -> dict[str, NDArray[np.float16]]:
+    """`[1, 3, H, W]` → the channels R, G, B as half floats, cut off at ±65504."""
     rgb = image[0].detach().float().clamp(-_LARGEST_HALF, _LARGEST_HALF).cpu().numpy()
-    write_channels(path, dict(zip("RGB", rgb, strict=True)), half=True)
+    return dict(zip("RGB", rgb.astype(np.float16), strict=True))
 
 
-def _from_normals(
-    source: Layers,
-    normal: Tensor,
-    depth: Tensor | None,
-    matrix: Tensor | None,
-    camera: Triple | None,
-    view: Triple | None,
-) -> GBuffer:
-    position = source.vector("position")
-    mask = _mask(source, (normal != 0).any(dim=1, keepdim=True))
-    if depth is not None:
-        mask = mask * _is_depth(depth)
-    rays = None if matrix is None else _rays(matrix, source.size)
-    if position is None and depth is not None and rays is not None:
-        position = torch.where(_is_depth(depth), depth, torch.ones_like(depth)) * rays
-        if camera is not None:
-            raise source.camera_is_at_origin()
-        camera = (0.0, 0.0, 0.0) if view is None else None
-    if camera is not None:
-        if position is None:
-            raise source.missing("camera is given, but there are no positions (position=LAYER)")
-        return GBuffer(normal, position=position, camera=camera, mask=mask)
-    if view is None:
-        view = (0.0, 0.0, 1.0) if rays is None else -rays
-    return GBuffer(normal, view=_as_view(view), position=position, mask=mask)
+def stacked(file: ExrRows, keys: Sequence[Key], top: int, bottom: int) -> Tensor:
+    """`[1, C, rows, W]` of these channels."""
+    maps = np.empty((len(keys), bottom - top, file.size[1]), np.float32)
+    for pixels, (part, channel) in zip(maps, keys, strict=True):
+        pixels[:] = file.read(part, channel, top, bottom)
+    return torch.from_numpy(maps)[None]
 
 
-def _from_depth(
-    source: Layers, depth: Tensor, matrix: Tensor, view: Triple | None, smooth_px: float
-) -> GBuffer:
-    there = _is_depth(depth)
-    if smooth_px <= 0:
-        _warn_of_steps(source, depth[there], matrix)
-    made = GBuffer.from_depth(_grown(depth, there, smooth_px), matrix)
-    y_up = depth.new_tensor(_Y_UP).view(3, 1, 1)
-    normal = torch.where(there, made.normal * y_up, torch.zeros_like(made.normal))
-    # the rays of the depth as it was stored, not of what the normals were made from
-    position = torch.where(there, depth, torch.ones_like(depth)) * _rays(matrix, source.size)
-    mask = _mask(source, there)
-    if view is not None:
-        return GBuffer(normal, view=_as_view(view), position=position, mask=mask)
-    return GBuffer(normal, position=position, camera=(0.0, 0.0, 0.0), mask=mask)
+def evidence(file: ExrRows, keys: Sequence[Key], bands: Sequence[tuple[int, int]]) -> Evidence:
+    """Of vectors in the file, over all its bands."""
+    return sum((Evidence.of(stacked(file, keys, *band)) for band in bands), Evidence())
 
 
-def _mask(source: Layers, there: Tensor) -> Tensor:
-    mask = source.scalar("mask")
-    if mask is None:
-        return there.float()
-    return torch.nan_to_num(mask, nan=0.0).clamp(0, 1) * there
+def _bands(file: ExrRows, memory: int | None) -> list[tuple[int, int]]:
+    height, width = file.size
+    a_row = width * (BYTES_A_PIXEL + BYTES_A_CHANNEL * len(file.keys))
+    if memory is None:
+        if not file.may_be_whole:
+            raise InputError(
+                f"{file.path}: {width} x {height} pixels are too many to be read at once; "
+                "`raden render` shades them in bands if it writes an .exr"
+            )
+        return [(0, height)]
+    rows = min(memory // a_row, file.most_rows)
+    if rows >= height:
+        return [(0, height)]
+    step = lcm(WRITTEN_LINES, file.chunk_rows)
+    rows = rows // step * step
+    if rows == 0:
+        raise InputError(
+            f"{file.path}: memory {memory} bytes; {min(step, height) * a_row} were wanted for "
+            f"{min(step, height)} rows, the least that can be read at once"
+        )
+    return [(top, min(top + rows, height)) for top in range(0, height, rows)]
 
 
 def _is_depth(depth: Tensor) -> Tensor:
@@ -202,7 +333,7 @@ def _grown(depth: Tensor, there: Tensor, smooth_px: float) -> Tensor:
     return around if smooth_px > 0 else torch.where(there, depth, around)
 
 
-def _warn_of_steps(source: Layers, depth: Tensor, matrix: Tensor) -> None:
+def _warn_of_steps(path: object, depth: Tensor, matrix: Tensor) -> None:
     """Depth in steps of half precision that are coarse beside a pixel gives terraces."""
     if len(depth) == 0 or not torch.equal(depth.half().float(), depth):
         return
@@ -210,10 +341,10 @@ def _warn_of_steps(source: Layers, depth: Tensor, matrix: Tensor) -> None:
     step, pixel = float(np.spacing(np.float16(middle))), middle / float(matrix[0, 0])
     if step > pixel / 8 and len(torch.unique(depth)) > 16:
         warnings.warn(
-            f"{source.path}: depth in half precision, in steps of {step:.2g} where a pixel is "
+            f"{path}: depth in half precision, in steps of {step:.2g} where a pixel is "
             f"{pixel:.2g} wide: the normals will be terraced; smooth it (smooth_px), or write the "
             "depth in 32 bits",
-            stacklevel=4,
+            stacklevel=5,
         )
 
 
@@ -241,17 +372,13 @@ def _matrix(
     return matrix
 
 
-def _rays(matrix: Tensor, size: tuple[int, int]) -> Tensor:
-    """`[1, 3, H, W]` from the camera through each pixel, with −1 along z (y up)."""
-    height, width = size
-    v, u = torch.meshgrid(
-        torch.arange(height, dtype=torch.float64),
-        torch.arange(width, dtype=torch.float64),
-        indexing="ij",
-    )
-    pixels = torch.stack([u, v, torch.ones_like(u)])
-    rays = torch.einsum("ij,jhw->ihw", torch.linalg.inv(matrix.double()), pixels)
-    return (rays * rays.new_tensor(_Y_UP).view(3, 1, 1)).float()[None]
+def _rays(matrix: Tensor, top: int, bottom: int, width: int) -> Tensor:
+    """`[1, 3, rows, W]` from the camera through each pixel, with −1 along z (y up)."""
+    inverse = torch.linalg.inv(matrix.double()) * torch.tensor(_Y_UP).double()[:, None]
+    u, v, one = inverse[:, :, None, None].unbind(1)
+    across = u * torch.arange(width, dtype=torch.float64) + one
+    down = v * torch.arange(top, bottom, dtype=torch.float64)[:, None]
+    return torch.stack([(a + d).float() for a, d in zip(across, down, strict=True)])[None]
 
 
 def _as_view(view: Tensor | Sequence[float]) -> Tensor:

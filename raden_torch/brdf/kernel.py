@@ -207,12 +207,11 @@ def _arguments(model: RadenBrdf) -> tuple[Any, ...]:
 
 @torch.library.impl("raden_torch::brdf", "CPU")
 def _brdf(normal: Tensor, light: Tensor, view: Tensor, *model: Any) -> Tensor:
-    maps = [normal, light, view]
-    shape = torch.broadcast_shapes(*(m.shape for m in maps))
-    image = torch.empty(shape, dtype=torch.float32)
+    maps = torch.broadcast_tensors(normal.float(), light.float(), view.float())
+    image = torch.empty(maps[0].shape, dtype=torch.float32)
     if image.numel() == 0:
         return image
-    maps = [_four_dimensions(m.float().expand(shape)) for m in maps]
+    maps = [_four_dimensions(m) for m in maps]
     held, packed = _packed(*model)
     b, _, h, w = maps[0].shape
     _kernel.reflect(
@@ -288,10 +287,11 @@ def _image_size(
     mask: Tensor | None,
     lights: Tensor,
 ) -> tuple[int, int, int]:
-    maps = [m.shape for m in (normal, view, position, mask) if m is not None]
-    batches = [(len(camera), 1, 1, 1)] if camera is not None else []
-    lit = (lights.shape[1], 1, 1, 1)
-    b, _, h, w = torch.broadcast_shapes(*maps, *batches, lit)
+    views = [m[:, :1] for m in (normal, view, position, mask) if m is not None]
+    batches = [len(camera)] if camera is not None else []
+    views += [normal.new_empty(n, 1, 1, 1) for n in (*batches, lights.shape[1])]
+    # not broadcast_shapes, which imports sympy when it is first called: half a second
+    b, _, h, w = torch.broadcast_tensors(*views)[0].shape
     return b, h, w
 
 

@@ -53,8 +53,7 @@ class PointLight:
 
     def at(self, position: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
         """`[B, 3, H, W]` each: direction to the light (not unit) and irradiance facing it."""
-        to_light = as_map(self.position, like) - _needed(position, self)
-        return to_light, as_map(self.intensity, like) * inverse_square(to_light)
+        return _from_a_point(self, position, like)
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class SpotLight:
 
     def at(self, position: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
         """`[B, 3, H, W]` each: direction to the light (not unit) and irradiance facing it."""
-        to_light, irradiance = PointLight(self.position, self.intensity).at(position, like)
+        to_light, irradiance = _from_a_point(self, position, like)
         axis = as_map(self.target, like) - as_map(self.position, like)
         length = torch.sqrt(dot(to_light, to_light) * dot(axis, axis))
         cosine = -dot(to_light, axis) / torch.clamp(length, min=torch.finfo(like.dtype).tiny)
@@ -143,6 +142,13 @@ def _row(
     parts = [at.new_full((1, 1), kind), at, colour, axis, cosines, reach]
     batch = max(len(part) for part in parts)
     return torch.cat([part.expand(batch, -1) for part in parts], dim=1)
+
+
+def _from_a_point(
+    light: PointLight | SpotLight, position: Tensor | None, like: Tensor
+) -> tuple[Tensor, Tensor]:
+    to_light = as_map(light.position, like) - _needed(position, light)
+    return to_light, as_map(light.intensity, like) * inverse_square(to_light)
 
 
 def inverse_square(to_light: Tensor) -> Tensor:

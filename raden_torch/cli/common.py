@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -32,6 +33,18 @@ def working(what: str) -> Iterator[None]:
 
     with Console(stderr=True).status(what):
         yield
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Callable[[float], None]]:
+    """A bar on stderr where a person looks on; yields what moves it, to a share of 0…1."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not console.is_terminal, transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda share: bar.update(task, completed=share)
 
 
 def light_of(text: str) -> Light:
@@ -66,3 +79,13 @@ def stops_of(text: str) -> float | None:
         return float(text)
     except ValueError:
         raise InputError(f"--exposure {text}: a number of stops, or auto, was wanted") from None
+
+
+def bytes_of(text: str) -> int:
+    """`2G`, `512M`; a bare number is bytes."""
+    units = {"": 0, "K": 1, "M": 2, "G": 3, "T": 4}
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)([KMGT]?)i?B?", text.strip(), re.IGNORECASE)
+    if found is None:
+        raise InputError(f"--memory {text}: a size as 2G or 512M was wanted")
+    number, unit = found.groups()
+    return int(float(number) * 1024 ** units[unit.upper()])

@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from raden_torch.cli.common import ModelFile, app, light_of, pair, stops_of, triple, working
+from raden_torch.cli.common import (
+    ModelFile,
+    app,
+    bytes_of,
+    light_of,
+    pair,
+    progress,
+    stops_of,
+    triple,
+    working,
+)
 from raden_torch.errors import InputError
 
 
@@ -46,15 +56,43 @@ def render(
         float | None, typer.Option(help="horizontal field of view of the EXR's camera, degrees")
     ] = None,
     smooth: Annotated[float, typer.Option(help="smooth the EXR's depth by so many pixels")] = 0.0,
+    memory: Annotated[
+        str,
+        typer.Option(help="for an EXR lit into an .exr: shade it in bands that take no more"),
+    ] = "4G",
 ) -> None:
     """Light a shape, or an EXR G-buffer, with a model."""
     from raden_torch.brdf.display import PICTURE_SUFFIXES, check_picture_path
-    from raden_torch.pictures import render_gbuffer, render_shape, save_picture
+    from raden_torch.pictures import (
+        render_gbuffer,
+        render_gbuffer_file,
+        render_shape,
+        save_picture,
+    )
 
     check_picture_path(output, (*PICTURE_SUFFIXES, ".exr"))
     lights = [light_of(text) for text in light or ()]
     eye = None if camera is None else triple("--camera", camera)
-    stops = stops_of(exposure)
+    stops, limit = stops_of(exposure), bytes_of(memory)
+    named = dict(pair("--channel", text) for text in channel or ())
+    if gbuffer is not None and output.suffix.lower() == ".exr":
+        from raden_torch.brdf.model_file import load_model
+
+        with progress("rendering") as shown:
+            used = render_gbuffer_file(
+                load_model(model),
+                gbuffer,
+                output,
+                lights,
+                channels=named,
+                fov_deg=fov,
+                smooth_px=smooth,
+                exposure_ev=stops,
+                memory=limit,
+                shown=shown,
+            )
+        print(f"wrote {output} (exposure {used:+.2f} stops)")
+        return
     with working("rendering"):
         from raden_torch.brdf.model_file import load_model
 
@@ -62,7 +100,6 @@ def render(
         if gbuffer is None:
             image = render_shape(loaded, shape, lights, camera=eye, size=size, samples=samples)
         else:
-            named = dict(pair("--channel", text) for text in channel or ())
             image = render_gbuffer(
                 loaded, gbuffer, lights, channels=named, fov_deg=fov, smooth_px=smooth
             )

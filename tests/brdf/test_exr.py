@@ -22,8 +22,8 @@ from raden_torch.brdf.exr import (
     write_channels,
     write_parts,
 )
-from raden_torch.brdf.exr_layers import decoded
 from raden_torch.brdf.gbuffer_file import read_colour, read_gbuffer, write_image
+from raden_torch.brdf.normal_coding import Evidence, decoded
 from raden_torch.errors import InputError
 
 OpenEXR = pytest.importorskip("OpenEXR")
@@ -334,7 +334,7 @@ def test_coded_normals_are_decoded(levels):
     if levels is not None:
         coded = (coded * levels).round() / levels
     coded[..., 0, :2] = torch.tensor([[0.0, 0.5]]).expand(3, 2)[None]  # black and grey: none
-    back = decoded(coded)
+    back = decoded(coded, Evidence.of(coded).is_coded)
     assert bool((back[..., 0, :2] == 0).all())
     assert float((back - n)[..., 1:, :].abs().max()) <= 1.01 / (levels or 1e7)
 
@@ -342,7 +342,7 @@ def test_coded_normals_are_decoded(levels):
 def test_normals_that_are_not_coded_stay(tmp_path):
     octant = torch.from_numpy(np.abs(bumps()))[None]  # none negative, all unit
     for n in (octant, 3 * torch.from_numpy(bumps())[None], torch.zeros(1, 3, 2, 2)):
-        assert torch.equal(decoded(n), n)
+        assert torch.equal(decoded(n, Evidence.of(n).is_coded), n)
     n = torch.from_numpy(bumps())[None].clone()
     n[0, 0, 0, 0], n[0, :, 0, 1] = math.nan, 0
     write_channels(tmp_path / "n.exr", named("N", "XYZ", n[0].numpy()))

@@ -1,0 +1,50 @@
+"""Shading images that are larger than the memory: an EXR G-buffer becomes an EXR, band by band."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator, Sequence
+
+import torch
+
+from raden_torch.brdf.exr_rows import rows_written
+from raden_torch.brdf.gbuffer_file import GBufferFile, has_pixels, in_halves
+from raden_torch.brdf.lights import Light
+from raden_torch.brdf.shade import Reflection, shade
+
+
+def shade_file(
+    model: Reflection,
+    scene: GBufferFile,
+    lights: Sequence[Light] | Light,
+    output: str | os.PathLike[str],
+    *,
+    gain: float = 1.0,
+) -> Generator[int, None, None]:
+    """Shade a file's bands one after the other; the image is the one that `shade` makes at once.
+
+    Args:
+        model, lights: as for `shade`.
+        scene: the G-buffer; its `bands` decide how much memory is taken.
+        output: the scene-linear EXR to write, in half floats.
+        gain: a factor on the image.
+
+    Yields:
+        The rows that are done. `output` appears after the last of them; where the loop is left
+        before, by an error or Ctrl-C, it is as it was.
+
+    Raises:
+        InputError: as for `read_gbuffer` and `shade`.
+    """
+    some = False
+    with rows_written(output, scene.size) as write:
+        for top, bottom in scene.bands:
+            gbuffer = scene.rows(top, bottom)
+            some = some or has_pixels(gbuffer)
+            with torch.no_grad():
+                image = shade(model, gbuffer, lights)
+            write(in_halves(image if gain == 1 else image * gain))
+            del gbuffer, image  # before the next band is read
+            yield bottom
+        if not some:
+            raise scene.is_empty()

@@ -1,0 +1,165 @@
+"""OpenEXR by rows: the same pixels as at once, whatever the layout, and files that are wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from raden_torch.brdf.exr import read_parts, write_channels
+from raden_torch.brdf.exr_chunks import LINES, chunks_of
+from raden_torch.brdf.exr_rows import ExrRows, rows_written
+from raden_torch.errors import InputError
+
+OpenEXR = pytest.importorskip("OpenEXR")
+
+H, W = 301, 37
+RANDOM = np.random.default_rng(0)
+CHANNELS = {
+    "Z": RANDOM.normal(size=(H, W)).astype(np.float32),
+    "N.X": RANDOM.normal(size=(H, W)).astype(np.float16),
+    "id": RANDOM.integers(0, 9, (H, W)).astype(np.uint32),
+}
+BANDS = [(0, 1), (0, 16), (5, 70), (250, 300), (300, 301)]
+
+
+def part(name: str = "", **header: object) -> OpenEXR.Part:
+    base = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    return OpenEXR.Part(base | header, {k: v.copy() for k, v in CHANNELS.items()}, name)
+
+
+def tiles(width: int, height: int) -> dict[str, object]:
+    description = OpenEXR.TileDescription()
+    description.xSize, description.ySize = width, height
+    return {"type": OpenEXR.tiledimage, "tiles": description}
+
+
+def window(left: int, top: int) -> dict[str, object]:
+    return {
+        "dataWindow": ((left, top), (left + W - 1, top + H - 1)),
+        "displayWindow": ((0, 5), (W + 2, H + 12)),
+    }
+
+
+COMPRESSIONS = [c for c in OpenEXR.Compression.__members__.values() if int(c) < len(LINES)]
+FLAT = {"compression": OpenEXR.NO_COMPRESSION}
+LAYOUTS = {
+    **{c.name: [part(compression=c)] for c in COMPRESSIONS},
+    "tiles": [part(**tiles(24, 40))],
+    "flat tiles": [part(**tiles(64, 64), **FLAT)],
+    "upwards": [part(lineOrder=OpenEXR.DECREASING_Y)],
+    "upwards, flat": [part(lineOrder=OpenEXR.DECREASING_Y, **FLAT)],
+    "window inside": [part(**window(2, 8))],
+    "window inside, flat": [part(**window(2, 8), **FLAT)],
+    "window above": [part(**window(-4, -20))],
+    "window above, flat": [part(**window(-4, -20), **FLAT)],
+    "parts": [
+        part("zip"),
+        part("flat", **FLAT),
+        part("a part whose name has more than thirty-one letters", **tiles(64, 64)),
+    ],
+}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_rows_are_those_of_the_whole(tmp_path, layout) -> None:
+    path = tmp_path / "x.exr"
+    OpenEXR.File(LAYOUTS[layout]).write(str(path))
+    whole, file = read_parts(path), ExrRows(path)
+    assert file.size == next(iter(next(iter(whole.values())).values())).shape
+    for top, bottom in BANDS:
+        for _, name, channel in file.keys:
+            rows = file.read(name, channel, top, bottom)
+            np.testing.assert_array_equal(rows, whole[name][channel][top:bottom])
+            assert rows.dtype == np.float32
+    assert len(file.keys) == sum(map(len, whole.values()))
+
+
+def test_uncompressed_rows_are_mapped_not_copied(tmp_path, monkeypatch) -> None:
+    path = tmp_path / "x.exr"
+    OpenEXR.File([part(**FLAT)]).write(str(path))
+    file = ExrRows(path)
+    monkeypatch.setattr(file, "_copied", None)
+    np.testing.assert_array_equal(file.read("", "Z", 3, 99), CHANNELS["Z"][3:99])
+
+
+@pytest.mark.parametrize("rows", [16, 48, 304])
+def test_rows_make_the_file_that_is_written_at_once(tmp_path, rows) -> None:
+    halves = {name: RANDOM.normal(size=(H, W)).astype(np.float16) for name in "RGB"}
+    write_channels(tmp_path / "whole.exr", halves, half=True)
+    with rows_written(tmp_path / "rows.exr", (H, W)) as add:
+        for top in range(0, H, rows):
+            assert not (tmp_path / "rows.exr").exists()
+            add({name: values[top : top + rows] for name, values in halves.items()})
+    assert (tmp_path / "rows.exr").read_bytes() == (tmp_path / "whole.exr").read_bytes()
+
+
+def test_too_few_rows_leave_the_old_file(tmp_path) -> None:
+    path = tmp_path / "x.exr"
+    path.write_bytes(b"old")
+    with (
+        pytest.raises(InputError, match="16 rows were given; 301"),
+        rows_written(path, (H, W)) as add,
+    ):
+        add({"Y": np.zeros((16, W), np.float16)})
+    assert [p.read_bytes() for p in tmp_path.iterdir()] == [b"old"]
+
+
+@pytest.fixture(scope="module", params=["ZIP", "NO", "tiles"])
+def written(request, tmp_path_factory) -> tuple[Path, Path, int]:
+    """A place to write to, a file, and where the table of its chunks begins."""
+    path = tmp_path_factory.mktemp("rows") / "whole.exr"
+    parts = {"tiles": tiles(24, 40)}.get(
+        request.param, {"compression": getattr(OpenEXR, f"{request.param}_COMPRESSION", None)}
+    )
+    OpenEXR.File([part(**parts)]).write(str(path))
+    (chunks,) = chunks_of(path)
+    return path.with_name("x.exr"), path, int(chunks.offsets.min()) - 8 * len(chunks.offsets)
+
+
+def read_two_bands(path: Path) -> list[np.ndarray]:
+    file = ExrRows(path)
+    return [file.read("", "Z", *band) for band in ((5, 70), (250, 301))]
+
+
+def test_an_enormous_tile_is_refused_before_memory_is_taken(tmp_path) -> None:
+    path = tmp_path / "x.exr"
+    OpenEXR.File([part(**tiles(24, 40))]).write(str(path))
+    data = path.read_bytes()
+    path.write_bytes(data.replace(struct.pack("<2I", 24, 40), struct.pack("<2I", 2**24, 40)))
+    for read in (read_parts, ExrRows):
+        with pytest.raises(InputError, match="tiles of 16777216 x 40"):
+            read(path)
+
+
+@settings(max_examples=60, deadline=None)
+@given(share=st.floats(0, 1, exclude_max=True))
+def test_a_truncated_file_is_an_input_error(written, share) -> None:
+    path, original, _ = written
+    data = original.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError) as caught:
+        read_two_bands(path)
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_noise_is_read_or_an_input_error(written, data) -> None:
+    path, original, start = written
+    whole = original.read_bytes()
+    noisy = bytearray(whole)
+    for _ in range(data.draw(st.integers(1, 8))):
+        at = data.draw(
+            st.one_of(st.integers(start, start + 400), st.integers(start, len(whole) - 1))
+        )
+        noisy[at] = data.draw(st.integers(0, 255))
+    path.write_bytes(noisy)
+    with contextlib.suppress(InputError):
+        assert [a.shape for a in read_two_bands(path)] == [(65, W), (51, W)]
