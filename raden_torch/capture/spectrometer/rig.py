@@ -6,9 +6,8 @@ A `Rig` is read from a file by `rig_config.load_rig`, or made by `simulation.sim
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 
@@ -60,13 +59,17 @@ class WhiteReference:
     Attributes:
         factor: its reflectance factor, the same in every geometry and at every wavelength; None
             where `file` gives it.
-        file: a measurement of it (any file of `raden_torch.load_measurement`).
+        file: a measurement of it, in the project's CSV.
         geometry: where it is read.
+        name: for reports.
+        relative_std: of its reflectance factor, as its certificate states it (k = 1).
     """
 
     factor: float | None = 99.0
     file: Path | None = None
-    geometry: Position = Position(45.0, 0.0, 0.0)
+    geometry: Position = field(default_factory=lambda: Position(45.0, 0.0, 0.0))
+    name: str = "white reference"
+    relative_std: float = 0.0
 
     def xyz(self, position: Position) -> Floats:
         """XYZ reflectance factor `(3,)` for D65 at `position`, of the nearest reading of `file`.
@@ -87,6 +90,7 @@ class GoniometerSettings:
         approach_deg: how far below its target an axis starts its last move where it would
             otherwise arrive from above: more than the backlash. 0 for none.
         feed_deg_per_min: of every move; None for the controller's own rapid rate.
+        rapid_deg_per_s: that rate, for estimates of time alone.
         settle_s: how long to wait after arrival.
         homing: the command that homes; "manual" where the rig has no switches.
         shows: for each target the lines to send, or a text for the operator.
@@ -99,6 +103,7 @@ class GoniometerSettings:
     baud: int = 115200
     approach_deg: float = 1.0
     feed_deg_per_min: float | None = None
+    rapid_deg_per_s: float = 10.0
     settle_s: float = 0.5
     homing: str = "$H"
     homing_timeout_s: float = 180.0
@@ -106,7 +111,7 @@ class GoniometerSettings:
     connect_timeout_s: float = 6.0
     move_timeout_s: float = 600.0
     poll_s: float = 0.2
-    shows: Mapping[Target, tuple[str, ...] | str] = MappingProxyType({})
+    shows: Mapping[Target, tuple[str, ...] | str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +128,7 @@ class ColorimeterSettings:
     port: str
     baud: int | None = None
     spectrum: bool = True
-    reply_timeout_s: float = 10.0
+    reply_timeout_s: float = 12.0
     connect_timeout_s: float = 12.0
 
 
@@ -152,18 +157,39 @@ class Rig:
 
     def reachable(self, position: Position) -> str | None:
         """Why there can be no reading at `position`; None where there can."""
+        hidden = self.obstruction.angle_deg
+        reason = self.out_of_reach(position)
+        if reason is None and abs(position.incidence_deg + position.receiving_deg) < hidden:
+            reason = f"the detector hides the lamp: incidence + receiving is within {hidden:g} of 0"
+        return reason
+
+    def out_of_reach(self, position: Position) -> str | None:
+        """Why the goniometer must not go to `position`; None where it may.
+
+        The last approach counts: it starts `approach_deg` of the motor below the target.
+        """
         angles = angles_of(position)
         if not np.isfinite(angles).all():
             return "its angles are not finite numbers"
-        outside = outside_limits(self.goniometer_settings, position)
-        if outside:
-            return outside
-        between = position.incidence_deg + position.receiving_deg
-        hidden = self.obstruction.angle_deg
-        if self.obstruction.collides and between < hidden:
-            return f"the detector would touch the lamp: incidence + receiving is below {hidden:g}"
-        if abs(between) < hidden:
-            return f"the detector hides the lamp: incidence + receiving is within {hidden:g} of 0"
+        starts = angles.copy()
+        for i, name in enumerate(ANGLES):
+            axis = self.goniometer_settings.axes[name]
+            low, high = axis.limits_deg
+            if not low <= angles[i] <= high:
+                return f"{name} {angles[i]:g} is outside its limits {low:g}…{high:g}"
+            starts[i] -= axis.direction * self.goniometer_settings.approach_deg
+            if not low <= starts[i] <= high:
+                return (
+                    f"{name} {angles[i]:g} is approached from {starts[i]:g}, outside its limits "
+                    f"{low:g}…{high:g}"
+                )
+        # an axis may have to start its approach, or not: the least sum counts
+        between = np.minimum(angles, starts)[:2].sum()
+        if self.obstruction.collides and between < self.obstruction.angle_deg:
+            return (
+                "the detector would touch the lamp: incidence + receiving comes down to "
+                f"{between:g}, below {self.obstruction.angle_deg:g}"
+            )
         return None
 
     def goniometer(self, ask: Ask | None = None) -> Goniometer:
@@ -181,34 +207,16 @@ class Rig:
 
 def angles_of(position: Position) -> Floats:
     """`(3,)` in the order of `ANGLES`."""
-    return np.array(
-        [position.incidence_deg, position.receiving_deg, position.tilt_deg], np.float64
-    )
-
-
-def outside_limits(settings: GoniometerSettings, position: Position) -> str | None:
-    """Which soft limit `position`, or the way to it from the side, would cross; None for none."""
-    for name, angle in zip(ANGLES, angles_of(position), strict=True):
-        axis = settings.axes[name]
-        low, high = axis.limits_deg
-        if not low <= angle <= high:
-            return f"{name} {angle:g} is outside its limits {low:g}…{high:g}"
-        start = angle - axis.direction * settings.approach_deg
-        if not low <= start <= high:
-            return (
-                f"{name} {angle:g} would be approached from {start:g}, outside its limits "
-                f"{low:g}…{high:g}"
-            )
-    return None
+    return np.array([position.incidence_deg, position.receiving_deg, position.tilt_deg], np.float64)
 
 
 def _white_xyz(white: WhiteReference, position: Position) -> Floats:
-    from raden_torch.capture.importers import load_measurement
+    from raden_torch.capture.spectrometer.csv_file import load_csv
 
     if white.file is None:
         assert white.factor is not None
         return white.factor / 100.0 * D65_XYZ
-    measurement = load_measurement(white.file).as_xyz()
+    measurement = load_csv(white.file).as_xyz()
     angles = np.stack(
         [measurement.incidence_deg, measurement.receiving_deg, measurement.tilt_deg], axis=1
     )[measurement.valid]

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from enum import Enum
+from pathlib import Path
+
+import numpy as np
 
 
 class Fault(Enum):
@@ -16,3 +21,29 @@ class Fault(Enum):
     ALARM = "alarm"  # a hard limit in mid-motion: ALARM:1, locked until reset and unlock
     RESET = "reset"  # the controller restarts by itself and forgets where it stands
     VANISH = "vanish"  # the port disappears, and comes back a while later
+
+
+class FaultPlan:
+    """Draws faults and appends each to a log, one name a line."""
+
+    def __init__(self, chances: Mapping[Fault, float], seed: int, log: Path | None = None) -> None:
+        self._chances = dict(chances)
+        self._log = log
+        self.random = np.random.default_rng(seed)
+
+    def strikes(self, fault: Fault) -> bool:
+        """Whether the fault happens at this opportunity."""
+        chance = self._chances.get(fault, 0.0)
+        if chance <= 0.0 or self.random.random() >= chance:
+            return False
+        if self._log is not None:
+            with self._log.open("a") as file:
+                file.write(fault.value + "\n")
+        return True
+
+
+def read_log(*logs: Path) -> dict[Fault, int]:
+    """How often each fault has happened, from the logs that exist."""
+    lines = [line for log in logs if log.exists() for line in log.read_text().splitlines()]
+    counts = Counter(lines)
+    return {fault: counts[fault.value] for fault in Fault}
