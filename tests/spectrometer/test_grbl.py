@@ -143,7 +143,7 @@ def test_any_text_is_a_report_or_none(text: str) -> None:
         assert status is None or not status.machine or np.isfinite(status.machine).all()
 
 
-# -- against the simulated controller ---------------------------------------------------------------
+# -- against the simulated controller ------------------------------------------------------------
 
 
 def test_home_move_and_tell(live) -> None:
@@ -305,7 +305,7 @@ def test_lost_and_found(live, scripted, tmp_path) -> None:
     goniometer.close()
 
 
-# -- scripts of what the simulated controller does not do ---------------------------------------------
+# -- scripts of what the simulated controller does not do ----------------------------------------
 
 
 class Grbl11:
@@ -410,7 +410,7 @@ def test_a_controller_that_falls_silent(scripted) -> None:
     with opened(rig) as goniometer:
         goniometer.home()
         controller.replies["M8"] = b""
-        with pytest.raises(ConnectionLostError, match="no reply to 'M8' within 0.2 s"):
+        with pytest.raises(ConnectionLostError, match=r"no reply to 'M8' within 0\.2 s"):
             goniometer.show(Target.DARK)
 
 
