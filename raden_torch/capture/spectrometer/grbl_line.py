@@ -30,7 +30,7 @@ from raden_torch.capture.spectrometer.ports import (
 from raden_torch.capture.spectrometer.rig import GoniometerSettings
 from raden_torch.capture.spectrometer.serial_line import LineSettings, SerialLine, reopen
 
-STATUS, HOLD, RESUME, RESET = b"?", b"!", b"~", b"\x18"
+STATUS, HOLD, RESET = b"?", b"!", b"\x18"
 
 _LARGEST_DEG = 1e5  # a position beyond this is a garbled number
 _ATTEMPTS = 3
