@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from raden_torch.brdf.exr import channel_keys, read_parts
 from raden_torch.errors import InputError
+from raden_torch.images.exr import channel_keys, read_parts
 
 NAMES: dict[str, tuple[str, ...]] = {
     "normal": (

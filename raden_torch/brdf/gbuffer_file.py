@@ -18,11 +18,11 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from raden_torch.brdf.exr import write_channels
 from raden_torch.brdf.exr_layers import Layers
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import Triple
 from raden_torch.errors import InputError
+from raden_torch.images.exr import write_channels
 
 FAR = 1e9
 """Depth from which on there is nothing; so also 65504, the largest half."""
