@@ -1,4 +1,4 @@
-"""Photograph files → linear light, with what the file says of the exposure and what is saturated."""
+"""Photograph files → linear light, what is saturated, and what the file says of the exposure."""
 
 from __future__ import annotations
 
@@ -109,8 +109,8 @@ def read_linear(
     _check_whole(path, stored)
     mosaic = _pattern(path, stored, pattern, said.get("pattern"))
     linear, rounding, top = _decoded(path, stored, coded, white_level or said.get("white"), mosaic)
-    full = (stored >= top) if top is not None else np.zeros(stored.shape, bool)
-    saturated = full if full.ndim == 2 else full.any(axis=2)
+    full = stored.reshape(*stored.shape[:2], -1) >= (np.inf if top is None else top)
+    saturated: NDArray[np.bool_] = np.asarray(full.any(axis=2))
     if mosaic is not None and not keep_mosaic:
         linear, rounding = demosaiced(linear[..., 0], mosaic), demosaiced(rounding[..., 0], mosaic)
         saturated = _spread(saturated)
@@ -141,7 +141,8 @@ def read_stored(path: str | os.PathLike[str]) -> NDArray[Any]:
         InputError: as for `read_linear`.
     """
     path = Path(path)
-    pixels = _exr_colour(path) if path.suffix.lower() == ".exr" else read_pixels(path, colour=True)
+    is_exr = path.suffix.lower() == ".exr"
+    pixels: NDArray[Any] = _exr_colour(path) if is_exr else read_pixels(path, colour=True)
     if pixels.dtype == np.uint8:
         return pixels
     if pixels.dtype.kind == "u":
@@ -275,7 +276,7 @@ def _metadata(path: Path) -> dict[str, Any]:
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
         return said
     for name, tag in (("exposure_s", 33434), ("f_number", 33437), ("iso", 34855), ("white", 50717)):
-        value = inner.get(tag)
+        value: Any = inner.get(tag)
         try:
             number = float(value[0] if isinstance(value, tuple) else value)
         except (TypeError, ValueError, ZeroDivisionError, IndexError):

@@ -57,7 +57,7 @@ def write_result(
         head | dict(content), indent=2, default=_plain, ensure_ascii=False, allow_nan=False
     )
     # a row of numbers in one line
-    text = re.sub(r"\[\s+([^\[\]{}\"]*?)\s+\]", lambda m: f"[{re.sub(r',\s+', ', ', m[1])}]", text)
+    text = re.sub(r"\[\s+([^\[\]{}\"]*?)\s+\]", _in_one_line, text)
     with written_beside(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8")
 
@@ -118,6 +118,10 @@ def check_result_path(path: str | os.PathLike[str]) -> None:
     if Path(path).suffix.lower() != ".json":
         raise InputError(f"{path}: results are .json files; name one")
     check_writable(path)
+
+
+def _in_one_line(numbers: re.Match[str]) -> str:
+    return "[" + re.sub(r",\s+", ", ", numbers[1]) + "]"
 
 
 def _plain(value: object) -> Any:
