@@ -24,7 +24,7 @@ from raden_torch.images.pixels import read_pixels
 Floats = NDArray[np.float32]
 Coding = Literal["auto", "srgb", "linear"] | NDArray[np.floating[Any]]
 
-_FLOAT_SUFFIXES = (".exr", ".hdr")
+_COLOUR_MODES = ("RGB", "RGBA", "RGBX", "P", "CMYK", "YCbCr", "LA")
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _JUMPS = 0.15
 """Share of neighbours half the range apart from which an 8-bit file is taken for the low bytes of
@@ -101,10 +101,8 @@ def read_linear(
         said: dict[str, Any] = {}
     else:
         said = _metadata(path)
-        stored = read_pixels(path, colour=False)
-        if stored.ndim == 3 and stored.shape[2] == 1:
-            stored = stored[..., 0]
-        if stored.ndim == 3:  # once more, as it is turned in the hand
+        stored = read_pixels(path, colour=said.get("mode") in _COLOUR_MODES)
+        if stored.ndim == 3 and stored.shape[2] != 3:  # with alpha, or palettes
             stored = read_pixels(path, colour=True)
     _check_whole(path, stored)
     mosaic = _pattern(path, stored, pattern, said.get("pattern"))
@@ -276,6 +274,7 @@ def _metadata(path: Path) -> dict[str, Any]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # damaged tags, large images: not this reader's matter
             with Image.open(path) as image:
+                said["mode"] = image.mode
                 exif = image.getexif()
                 inner = dict(exif) | dict(exif.get_ifd(0x8769))
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
