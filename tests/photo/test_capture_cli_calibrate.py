@@ -14,6 +14,8 @@ import pytest
 
 from raden_torch.capture.photo.board import Board
 from raden_torch.capture.photo.mosaic import colour_masks
+from raden_torch.capture.photo.steps import Development, colour_of_photographs
+from raden_torch.errors import InputError
 
 BOARD = ("--squares", "5x7", "--square", "0.04", "--marker", "0.02")
 
@@ -101,9 +103,8 @@ def test_colour_of_a_stack_of_mosaics(chart_scene: Callable, tmp_path: Path) -> 
     assert "Bayer pattern BGGR" in done.stdout
     assert "median deviation" in done.stdout
     assert json.loads((tmp_path / "colour.json").read_text())["mean_delta_e_2000"] < 2
-    done = raden("colour", *files, "-o", tmp_path / "c.json", "--pattern", "BGGR")
-    assert done.returncode == 2
-    assert "0.25.tiff: no exposure time in its EXIF" in done.stderr
+    with pytest.raises(InputError, match=r"0\.25\.tiff: no exposure time in its EXIF"):
+        colour_of_photographs(files, tmp_path / "c.json", development=Development(pattern="BGGR"))
 
 
 def test_colour_without_a_chart(tmp_path: Path) -> None:
@@ -112,15 +113,15 @@ def test_colour_without_a_chart(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "a.png: no colour chart found" in done.stderr
     cv2.imwrite(str(tmp_path / "b.jpg"), np.full((200, 300, 3), 255, np.uint8))
-    for arguments, message in (
-        ((tmp_path / "b.jpg",), "b.jpg: over-exposed, 100 %"),
-        ((tmp_path / "b.jpg", "--coded", "linear"), "b.jpg: a JPEG is never linear"),
-        ((tmp_path / "a.png", "--edition", "1999"), "2014 or 2005"),
-        ((tmp_path / "a.png", "--corners", "1,2"), "four points"),
+    for name, how, message in (
+        ("b.jpg", Development(), r"b\.jpg: over-exposed, 100 %"),
+        ("b.jpg", Development(coded="linear"), r"b\.jpg: a JPEG is never linear"),
+        ("a.png", Development(exposures_s=(1.0, 2.0)), "1 photographs and 2 exposure times"),
     ):
-        done = raden("colour", *arguments, "-o", tmp_path / "c.json")
-        assert done.returncode == 2
-        assert message in done.stderr
-    assert not (tmp_path / "c.json").exists()
-    done = raden("colour", tmp_path / "a.png", "-o", tmp_path / "c.toml")
-    assert "results are .json files" in done.stderr
+        with pytest.raises(InputError, match=message):
+            colour_of_photographs([tmp_path / name], tmp_path / "c.json", development=how)
+    with pytest.raises(InputError, match="2014 or 2005"):
+        colour_of_photographs([tmp_path / "a.png"], tmp_path / "c.json", edition="1999")
+    with pytest.raises(InputError, match=r"results are \.json files"):
+        colour_of_photographs([tmp_path / "a.png"], tmp_path / "c.toml")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.jpg"]

@@ -111,13 +111,13 @@ def calibrate_photographs(
     else:
         poses = [board_pose(view, known) for view in views]
     frames = [
-        _captioned(frame, f"{Path(view.name).name}: {len(view.ids)} corners, {pose.rms_px:.2f} px")
+        _captioned(frame, f"{Path(view.name).name}: {pose.corners} corners, {pose.rms_px:.2f} px")
         for frame, view, pose in zip(frames, views, poses, strict=True)
     ]
     write_camera(output, known, views, poses, calibration=calibration, made_from=paths)
     write_pixels(_sheet(frames), sheet_path)
     lines = [
-        f"{Path(view.name).name}: {len(view.ids)} corners, re-projection rms {pose.rms_px:.3f} px, "
+        f"{Path(view.name).name}: {pose.corners} corners, re-projection rms {pose.rms_px:.3f} px, "
         f"board at {np.linalg.norm(pose.translation_m):.3f} m"
         for view, pose in zip(views, poses, strict=True)
     ]
