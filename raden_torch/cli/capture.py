@@ -96,6 +96,9 @@ def colour(
     dark: Annotated[
         list[Path] | None, typer.Option(help="frame with the lens covered; may be repeated")
     ] = None,
+    dark_exposure: Annotated[
+        list[float] | None, typer.Option(help="seconds, for each dark frame; else from EXIF")
+    ] = None,
     flat: Annotated[Path | None, typer.Option(help="photograph of an even white sheet")] = None,
     response: Annotated[
         bool, typer.Option("--response", help="recover the camera's curve from the stack (8-bit)")
@@ -113,6 +116,7 @@ def colour(
         white_level,
         tuple(exposure or ()),
         tuple(dark or ()),
+        tuple(dark_exposure or ()),
         flat,
         response,
     )

@@ -80,8 +80,8 @@ def test_colour(chart_scene: Callable, tmp_path: Path) -> None:
     assert result["mean_delta_e_2000"] < 1.5
     assert cv2.imread(str(tmp_path / "colour.png")).shape[1] == 640
     # the same file taken as sRGB: said to be not linear
-    done = raden("colour", tmp_path / "a.tiff", "-o", output)
-    assert "the photograph is not linear" in done.stdout
+    text = colour_of_photographs([tmp_path / "a.tiff"], output)
+    assert "the photograph is not linear" in text
 
 
 @pytest.mark.slow

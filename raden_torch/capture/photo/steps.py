@@ -65,6 +65,7 @@ class Development:
     Attributes:
         exposures_s: one for each photograph, or empty for what EXIF says.
         darks, flat: frames taken with the lens covered, and of an evenly lit white sheet.
+        dark_exposures_s: one for each dark frame, or empty for what EXIF says.
         response: recover the response from the photographs, which are an exposure stack.
     """
 
@@ -73,6 +74,7 @@ class Development:
     white_level: float | None = None
     exposures_s: tuple[float, ...] = ()
     darks: tuple[Path, ...] = ()
+    dark_exposures_s: tuple[float, ...] = ()
     flat: Path | None = None
     response: bool = False
 
@@ -198,17 +200,13 @@ def developed(
         InputError: whatever reading, correcting and merging raise; over-exposed all over.
     """
     how = how or Development()
-    times: Sequence[float | None] = how.exposures_s or [None] * len(paths)
-    if len(times) != len(paths) or not paths:
-        raise InputError(
-            f"{len(paths)} photographs and {len(how.exposures_s)} exposure times; "
-            "as many as photographs were wanted"
-        )
+    times = _times(paths, how.exposures_s, "photographs")
     if how.response:
         how = replace(how, coded=recover_response(paths, _stated(paths, times)), response=False)
     photos = [_read(path, how, t) for path, t in zip(paths, times, strict=True)]
     check_same_size(photos)
-    darks = [_read(path, how, None) for path in how.darks]
+    dark_times = _times(how.darks, how.dark_exposures_s, "dark frames")
+    darks = [_read(path, how, t) for path, t in zip(how.darks, dark_times, strict=True)]
     if darks:
         photos = [subtract_dark(photo, darks) for photo in photos]
     if how.flat is not None:
@@ -241,21 +239,29 @@ def _charted(
     paths: Sequence[PathLike], how: Development, corners: NDArray[Any] | None
 ) -> tuple[Photograph, Radiance | None, Patches, list[Chart], Development]:
     """The photograph and its chart; a mosaic's red and blue are told apart by it."""
-    guesses = [how]
-    if how.pattern is None and (unknown := _untagged(paths[0])) is not None:
-        guesses = [replace(how, pattern=pattern) for pattern in unknown]
-    for guess in guesses:
-        photo, merged = developed(paths, guess)
-        if len(paths) == 1 and photo.pattern is None:
-            seen = read_stored(paths[0])  # the tone curve in it was made for looking
-        else:
-            seen = shown(photo.linear)
-        name = str(paths[0])
-        charts = find_charts(seen, name) if corners is None else [chart_at(seen, corners, name)]
-        patches = read_patches(photo, charts[0])
-        if guess is guesses[-1] or _red_against_blue(patches, reference_xyz()) > 0:
-            break
-    return photo, merged, patches, charts, guess
+    if how.pattern is not None or (unknown := _untagged(paths[0])) is None:
+        return *_found(paths, how, corners), how
+    first, second = (replace(how, pattern=pattern) for pattern in unknown)
+    try:
+        found = _found(paths, first, corners)
+    except InputError:  # a chart with red and blue exchanged may be none to the detector
+        return *_found(paths, second, corners), second
+    if _red_against_blue(found[2], reference_xyz()) > 0:
+        return *found, first
+    return *_found(paths, second, found[3][0].corners if corners is None else corners), second
+
+
+def _found(
+    paths: Sequence[PathLike], how: Development, corners: NDArray[Any] | None
+) -> tuple[Photograph, Radiance | None, Patches, list[Chart]]:
+    photo, merged = developed(paths, how)
+    if len(paths) == 1 and photo.pattern is None:
+        seen = read_stored(paths[0])  # the tone curve in it was made for looking
+    else:
+        seen = shown(photo.linear)
+    name = str(paths[0])
+    charts = find_charts(seen, name) if corners is None else [chart_at(seen, corners, name)]
+    return photo, merged, read_patches(photo, charts[0]), charts
 
 
 def _untagged(path: PathLike) -> tuple[str, str] | None:
@@ -292,6 +298,15 @@ def _read(path: PathLike, how: Development, exposure_s: float | None) -> Photogr
         white_level=how.white_level,
         exposure_s=exposure_s,
     )
+
+
+def _times(paths: Sequence[PathLike], stated: Sequence[float], what: str) -> Sequence[float | None]:
+    if stated and len(stated) != len(paths):
+        raise InputError(
+            f"{len(paths)} {what} and {len(stated)} exposure times; as many times as {what}, or "
+            "none, were wanted"
+        )
+    return stated or [None] * len(paths)
 
 
 def _stated(paths: Sequence[PathLike], times: Sequence[float | None]) -> list[float]:
