@@ -104,6 +104,7 @@ def test_what_is_wrong_with_a_picture(board_scene: Callable) -> None:
     picture = board_scene(BOARD, *PLACES[1])
     for bad, message in (
         (cv2.GaussianBlur(picture, (0, 0), 4), r"a\.png: .*blurred"),
+        (picture[:9], r"a\.png: 640 x 9 pixels"),
         (np.full_like(picture, 255), "over-exposed nearly everywhere"),
         (np.full_like(picture, 90), "no board; a 5 x 7 board of DICT_6X6_250"),
         (np.concatenate([picture, picture], 1), "there twice: two boards in one photograph"),
