@@ -51,6 +51,15 @@ def test_any_rotation_mirrored_or_not(chart_scene: Callable, how: dict) -> None:
         assert abs(turned) < (15 if "tilt" in how else 2)
 
 
+def test_large_photographs(chart_scene: Callable) -> None:
+    """They are searched at a smaller size; the places are those of the whole photograph."""
+    scene = chart_scene(turn_deg=30)
+    large = cv2.resize(scene.srgb, None, fx=6.25, fy=6.25, interpolation=cv2.INTER_LINEAR)
+    (chart,) = find_charts(large, "large.png")
+    wanted = (scene.at(CENTRES) + 0.5) * 6.25 - 0.5
+    assert np.linalg.norm(chart.pixels(CENTRES) - wanted, axis=1).max() < 0.2 * chart.patch_px
+
+
 def test_several_charts(chart_scene: Callable) -> None:
     left = chart_scene(size=(480, 800), width=330, centre=(0.25, 0.45), noise=0.0)
     both = chart_scene(

@@ -180,11 +180,13 @@ def _decoded(
         raise InputError(f"{path}: white level {top:g}; 2…{levels} was wanted")
     table = _table(path, coded, levels, top, mosaic)
     slope = np.gradient(table, axis=0)
-    channels = range(values.shape[2])
-    column = [min(c, table.shape[1] - 1) for c in channels]
-    linear = np.stack([table[values[..., c], column[c]] for c in channels], -1)
-    rounding = np.stack([slope[values[..., c], column[c]] for c in channels], -1) / np.sqrt(12)
-    return linear, rounding.astype(np.float32), top
+    grain = (slope / np.sqrt(12)).astype(np.float32)
+    linear, rounding = np.empty(values.shape, np.float32), np.empty(values.shape, np.float32)
+    for c in range(values.shape[2]):
+        column = min(c, table.shape[1] - 1)
+        linear[..., c] = table[:, column].take(values[..., c])
+        rounding[..., c] = grain[:, column].take(values[..., c])
+    return linear, rounding, top
 
 
 def _table(path: Path, coded: Coding, levels: int, top: float, mosaic: str | None) -> Floats:
