@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.errors import InputError
-from raden_torch.files import check_writable, written_beside
+from raden_torch.files import check_writable
+from raden_torch.images.pixels import draw_caption, write_pixels
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -61,31 +60,7 @@ def write_picture(
     """
     check_picture_path(path)
     rgb = (picture.detach().clamp(0, 1) * 255).round().to(torch.uint8).movedim(0, -1).cpu().numpy()
-    bgr = np.ascontiguousarray(rgb[..., ::-1])
     if caption:
-        draw_caption(bgr, caption)
-    write_encoded(bgr, path)
-
-
-def write_encoded(bgr: NDArray[Any], path: str | os.PathLike[str]) -> None:
-    """Write pixels `[H, W, 3]` in OpenCV's order, encoded by the path's suffix."""
-    import cv2
-
-    ok, data = cv2.imencode(Path(path).suffix.lower(), bgr)
-    if not ok:
-        raise InputError(f"{path}: OpenCV could not encode the picture")
-    with written_beside(path) as temporary:
-        temporary.write_bytes(data.tobytes())
-
-
-def draw_caption(bgr: NDArray[Any], caption: str) -> None:
-    """Draw a small line into the lower left corner of 8- or 16-bit pixels, in place."""
-    import cv2
-
-    grey = 190 * (np.iinfo(bgr.dtype).max // 255)
-    height, width = bgr.shape[:2]
-    font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.4
-    (text_width, _), _ = cv2.getTextSize(caption, font, scale, 1)
-    scale *= min(1.0, (width - 8) / max(text_width, 1))
-    for colour, thickness in (((0, 0, 0), 3), ((grey, grey, grey), 1)):
-        cv2.putText(bgr, caption, (4, height - 6), font, scale, colour, thickness, cv2.LINE_AA)
+        rgb = np.ascontiguousarray(rgb)
+        draw_caption(rgb, caption)
+    write_pixels(rgb, path)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from raden_torch.brdf.exr_rows import ExrRows
 from raden_torch.errors import InputError
+from raden_torch.images.exr_rows import ExrRows
 
 NAMES: dict[str, tuple[str, ...]] = {
     "normal": (

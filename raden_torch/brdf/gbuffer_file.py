@@ -19,13 +19,13 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from raden_torch.brdf.exr import write_channels
 from raden_torch.brdf.exr_layers import Key, Layers
-from raden_torch.brdf.exr_rows import WRITTEN_LINES, ExrRows
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import Triple
 from raden_torch.brdf.normal_coding import Evidence, decoded, has_negative
 from raden_torch.errors import InputError
+from raden_torch.images.exr import write_channels
+from raden_torch.images.exr_rows import WRITTEN_LINES, ExrRows
 
 FAR = 1e9
 """Depth from which on there is nothing; so also 65504, the largest half."""

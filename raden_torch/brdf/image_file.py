@@ -13,13 +13,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from raden_torch.brdf.display import draw_caption, write_encoded
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.errors import InputError
+from raden_torch.images.pixels import draw_caption, read_pixels, write_pixels
 
 Green = Literal["opengl", "directx"]
 
-MAX_PIXELS = 500_000_000
 _FLOAT_SUFFIXES = (".exr", ".hdr", ".tif", ".tiff")
 
 
@@ -46,9 +45,9 @@ def read_photograph(path: str | os.PathLike[str]) -> Photograph:
         return Photograph(_exr_colour(path), None)
     from kornia.color import rgb_to_linear_rgb
 
-    pixels = _decoded(path, colour=True)
+    pixels = read_pixels(path, colour=True)
     levels = _levels(pixels)
-    rgb = _tensor(pixels[..., 2::-1] if pixels.ndim == 3 else np.stack([pixels] * 3, -1))
+    rgb = _tensor(pixels)
     if levels is None:
         return Photograph(rgb, None)
     return Photograph(rgb_to_linear_rgb(rgb / levels), levels)
@@ -91,15 +90,15 @@ def write_photograph(
 
         write_image(photo.linear, path)
         return
-    bgr = np.ascontiguousarray(pixels[..., ::-1])
     if caption and photo.levels is not None:
-        draw_caption(bgr, caption)
-    write_encoded(bgr, path)
+        pixels = np.ascontiguousarray(pixels)
+        draw_caption(pixels, caption)
+    write_pixels(pixels, path)
 
 
 def _exr_colour(path: str | os.PathLike[str]) -> Tensor:
-    from raden_torch.brdf.exr import list_channels
     from raden_torch.brdf.gbuffer_file import read_colour
+    from raden_torch.images.exr import list_channels
 
     colour = read_colour(path)
     if colour is None:
@@ -132,7 +131,7 @@ def read_normal_map(
 
         normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg))
     else:
-        pixels = _decoded(path, colour=False)
+        pixels = read_pixels(path, colour=False)
         if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
             raise InputError(f"{path}: a normal map of three channels was wanted")
         if Path(path).suffix.lower() in (".jpg", ".jpeg"):
@@ -141,7 +140,7 @@ def read_normal_map(
                 "a 16-bit PNG or an EXR holds them well",
                 stacklevel=2,
             )
-        normal = decoded_normals(_tensor(pixels[..., 2::-1]), _levels(pixels))
+        normal = decoded_normals(_tensor(pixels[..., :3]), _levels(pixels))
         if pixels.shape[2] == 4:
             normal = normal * (_tensor(pixels[..., 3:]) > 0)
     if green == "directx":
@@ -169,35 +168,13 @@ def read_mask(path: str | os.PathLike[str]) -> Tensor:
     Raises:
         InputError: the mask is empty: nothing would be relit.
     """
-    pixels = _decoded(path, colour=False)
+    pixels = read_pixels(path, colour=False)
     if pixels.ndim == 3:
         pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.max(axis=2)
     mask = (_tensor(pixels[..., None]) / (_levels(pixels) or 1)).clamp(0, 1)
     if not (mask > 0).any():
         raise InputError(f"{path}: the mask is empty (all black): nothing would be relit")
     return mask
-
-
-def _decoded(path: str | os.PathLike[str], *, colour: bool) -> NDArray[Any]:
-    """`[H, W]` or `[H, W, C]` in OpenCV's order (BGR)."""
-    import cv2
-
-    try:
-        data = np.fromfile(path, np.uint8)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; an image was wanted") from None
-    flags = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR if colour else cv2.IMREAD_UNCHANGED
-    try:
-        pixels = cv2.imdecode(data, flags) if data.size else None
-    except cv2.error:
-        pixels = None
-    if pixels is None:
-        raise InputError(
-            f"{path}: not an image that OpenCV reads; PNG, JPEG, TIFF or HDR was wanted"
-        )
-    if pixels.shape[0] * pixels.shape[1] > MAX_PIXELS:
-        raise InputError(f"{path}: {pixels.shape[1]} x {pixels.shape[0]} pixels are too many")
-    return pixels
 
 
 def _levels(pixels: NDArray[Any]) -> int | None:

@@ -7,10 +7,10 @@ from collections.abc import Generator, Sequence
 
 import torch
 
-from raden_torch.brdf.exr_rows import rows_written
 from raden_torch.brdf.gbuffer_file import GBufferFile, has_pixels, in_halves
 from raden_torch.brdf.lights import Light
 from raden_torch.brdf.shade import Reflection, shade
+from raden_torch.images.exr_rows import rows_written
 
 
 def shade_file(

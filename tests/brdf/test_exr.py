@@ -14,17 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raden_torch as rt
-from raden_torch.brdf import exr
-from raden_torch.brdf.exr import (
+from raden_torch.brdf.gbuffer_file import read_colour, read_gbuffer, write_image
+from raden_torch.brdf.normal_coding import Evidence, decoded
+from raden_torch.errors import InputError
+from raden_torch.images import exr
+from raden_torch.images.exr import (
     list_channels,
     read_channels,
     read_parts,
     write_channels,
     write_parts,
 )
-from raden_torch.brdf.gbuffer_file import read_colour, read_gbuffer, write_image
-from raden_torch.brdf.normal_coding import Evidence, decoded
-from raden_torch.errors import InputError
 
 OpenEXR = pytest.importorskip("OpenEXR")
 

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from raden_torch.brdf.exr import read_parts, write_channels
-from raden_torch.brdf.exr_chunks import LINES, chunks_of
-from raden_torch.brdf.exr_rows import ExrRows, rows_written
 from raden_torch.errors import InputError
+from raden_torch.images.exr import read_parts, write_channels
+from raden_torch.images.exr_chunks import LINES, chunks_of
+from raden_torch.images.exr_rows import ExrRows, rows_written
 
 OpenEXR = pytest.importorskip("OpenEXR")
 

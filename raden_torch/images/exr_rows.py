@@ -17,7 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.brdf.exr import (
+from raden_torch.errors import InputError
+from raden_torch.files import written_beside
+from raden_torch.images.exr import (
     MAX_PIXELS,
     MAX_VALUES,
     channel_keys,
@@ -26,9 +28,7 @@ from raden_torch.brdf.exr import (
     read_parts,
     write_arrays,
 )
-from raden_torch.brdf.exr_chunks import LINES, Chunks, chunks_of
-from raden_torch.errors import InputError
-from raden_torch.files import written_beside
+from raden_torch.images.exr_chunks import LINES, Chunks, chunks_of
 
 WRITTEN_LINES = LINES[3]
 """Rows are written in multiples of these, the chunks of ZIP compression."""
