@@ -211,10 +211,15 @@ def _table(path: Path, coded: Coding, levels: int, top: float, mosaic: str | Non
     return _srgb(levels, top)[:, None]
 
 
-def _srgb(levels: int, top: float | None = None) -> Floats:
+def srgb_to_linear(values: NDArray[Any]) -> NDArray[np.float64]:
+    """sRGB 0…1 → linear (IEC 61966-2-1, through colour-science)."""
     from colour.models import eotf_sRGB
 
-    return np.asarray(eotf_sRGB(np.arange(levels + 1) / (top or levels)), np.float32)
+    return np.asarray(eotf_sRGB(values), np.float64)
+
+
+def _srgb(levels: int, top: float | None = None) -> Floats:
+    return srgb_to_linear(np.arange(levels + 1) / (top or levels)).astype(np.float32)
 
 
 def _check_whole(path: Path, stored: NDArray[Any]) -> None:
