@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +41,7 @@ class Lamps:
         exponent: of the camera's response, as a reference sphere gave it; 1 is linear.
         names: the photographs, in order.
         notes: what a person should know of these lamps.
+        matrix: `[3, 3]` of the camera (pixels, x right, y down) where there was one.
     """
 
     direction: Floats
@@ -50,10 +51,42 @@ class Lamps:
     unit: str = "px"
     exponent: float = 1.0
     names: tuple[str, ...] = ()
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
+    matrix: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.direction)
+
+    def __str__(self) -> str:
+        """A line a lamp: its angle from the camera's axis, which way, and how bright."""
+        lines = []
+        for k, (x, y, z) in enumerate(self.direction):
+            name = self.names[k] if self.names else f"lamp {k + 1}"
+            away, turn = np.rad2deg(np.arccos(np.clip(z, -1, 1))), np.rad2deg(np.arctan2(y, x))
+            line = f"{name}: {away:.1f} deg from the camera's axis, towards {turn:.0f} deg"
+            line += f" (0 right, 90 up), intensity {self.intensity[k]:.3f}"
+            if self.position is not None and self.miss is not None:
+                at = ", ".join(f"{c:.0f}" for c in self.position[k])
+                line += f", at {at} {self.unit} (rays miss by {self.miss[k]:.1f})"
+            lines.append(line)
+        return "\n".join((*lines, *self.notes))
+
+    def plane(self, size: tuple[int, int], z: float) -> Floats:
+        """`[3, H, W]` points that the pixels see of a plane z, which faces the camera.
+
+        Raises:
+            InputError: with a camera, a plane that is not in front of it (z < 0).
+        """
+        v, u = np.mgrid[: size[0], : size[1]].astype(np.float64)
+        if self.matrix is None:
+            return np.stack([u, -v, np.full_like(u, z)])
+        if not z < 0:
+            raise InputError(
+                f"plane z = {z:g} {self.unit}: the camera is at 0 and looks along -z; give the "
+                "object's distance as a negative number"
+            )
+        ray = np.linalg.inv(self.matrix) @ np.stack([u, v, np.ones_like(u)]).reshape(3, -1)
+        return np.asarray((ray / ray[2] * [[-z], [z], [z]]).reshape(3, *size))
 
     def towards(self, points: Floats) -> Floats:
         """`[K, 3, ...]` vectors from points `[3, ...]` to the lamps, for `solve_normals`.
@@ -94,7 +127,7 @@ def lamps_from_balls(
         raise InputError(f"{highlights[bad][0].found_in}: its highlight lies beside the ball")
     mean = direction.mean(1)
     mean /= np.linalg.norm(mean, axis=1, keepdims=True)
-    lamps = Lamps(mean, np.ones(len(mean)), unit=unit, names=names)
+    lamps = Lamps(mean, np.ones(len(mean)), unit=unit, names=names, matrix=balls[0].matrix)
     if len(balls) == 1:
         return lamps
     apart = np.rad2deg(np.arccos(np.clip((direction * mean[:, None]).sum(-1), -1, 1))).max(1)
@@ -216,6 +249,7 @@ def write_lamps(
         "frame": "x right, y up, z to the viewer; vectors point to the lamp and are no normals",
         "unit": lamps.unit,
         "response_exponent": round(lamps.exponent, 4),
+        **({} if lamps.matrix is None else {"camera_matrix_px": lamps.matrix}),
         "lamps": each,
         "balls": found,
         "notes": list(lamps.notes),
@@ -243,12 +277,13 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
     intensity = numbers(path, columns, "intensity", (-1,))
     if (length == 0).any() or (intensity <= 0).any():
         raise InputError(f"{path}: a lamp has no direction or no light; positive ones were wanted")
-    key = f"position_{unit}"
+    key, matrix = f"position_{unit}", "camera_matrix_px"
     return Lamps(
         direction / length,
         intensity,
         numbers(path, columns, key, (-1, 3)) if key in columns else None,
         unit=unit,
         exponent=float(numbers(path, found, "response_exponent", ())),
+        matrix=numbers(path, found, matrix, (3, 3)) if matrix in found else None,
         names=tuple(str(row.get("photograph", "")) for row in rows),
     )
