@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.ball import Ball
@@ -48,7 +49,8 @@ def draw_lamps(
                 xytext=(5, 3),
                 textcoords="offset points",
                 fontsize=SMALL,
-                color="white",
+                color="#ffe08a",
+                path_effects=[withStroke(linewidth=2.5, foreground="black")],
             )
     around = 1.15 * max(ball.radius_px for ball in balls)
     ax.set_xlim(min(b.x_px for b in balls) - around, max(b.x_px for b in balls) + around)
@@ -133,6 +135,7 @@ def _dial(ax: Any, lamps: Lamps, small: bool = False) -> None:
     outer = float(np.ceil(max(30.0, away.max() * 1.15) / 10) * 10)
     ax.set_rlim(0, outer)
     ax.set_rgrids(np.arange(0, outer + 1, 30 if outer > 60 else 10)[1:], fontsize=SMALL - 1)
+    ax.set_rlabel_position(285)  # where lamps are rare: below the object
     ax.set_xticks(np.deg2rad([0, 90, 180, 270]))
     ax.set_xticklabels(["right", "up", "left", "down"], fontsize=SMALL)
     ax.grid(color=FAINT, linewidth=0.6)
