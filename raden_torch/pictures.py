@@ -50,7 +50,7 @@ SHAPES = {
 
 _MARGIN = 0.06
 """Of the object's size, around it in a sheet."""
-_EXPOSED_FOR = 0.985
+_EXPOSED_FOR = 0.95
 """The share of the relit pixels that a sheet shows without clipping: sparkles may clip."""
 
 
