@@ -1,0 +1,333 @@
+"""The camera, calibrated on photographs of a board, and where the board lies before it.
+
+Frames, as OpenCV has them. Camera: x right, y down, z forward, origin in the lens's centre of
+projection. Board: x along its rows, y down its columns, z into it, origin at its upper left corner.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.board import Board, BoardView
+from raden_torch.capture.photo.result_file import numbers, read_result, write_result
+from raden_torch.errors import InputError
+
+Floats = NDArray[np.float64]
+
+_KIND = "camera"
+_FEWEST_VIEWS = 3
+_GOOD_RMS_PX = 1.0
+_UNCERTAIN_FOCAL = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole with Brown–Conrady distortion, in OpenCV's order of coefficients.
+
+    Attributes:
+        matrix: `[3, 3]` pixels.
+        distortion: `[5]` k1, k2, p1, p2, k3 (or as many as the file has).
+        size: height and width of its photographs.
+    """
+
+    matrix: Floats
+    distortion: Floats
+    size: tuple[int, int]
+
+    @property
+    def fov_deg(self) -> float:
+        """Horizontal angle of view, without distortion."""
+        return float(np.rad2deg(2 * np.arctan(self.size[1] / (2 * self.matrix[0, 0]))))
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Where a board lies: p_camera = rotation @ p_board + translation_m.
+
+    Attributes:
+        rotation: `[3, 3]`.
+        translation_m: `[3]`.
+        rms_px: re-projection error, √(mean of the squared distances).
+    """
+
+    rotation: Floats
+    translation_m: Floats
+    rms_px: float
+
+    @property
+    def camera_in_board_m(self) -> Floats:
+        """`[3]` the camera's centre in the board's frame; its z is negative."""
+        return -self.rotation.T @ self.translation_m
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera and how well it is known.
+
+    Attributes:
+        rms_px: re-projection error over all corners.
+        focal_std_px: `[2]` standard deviations of the focal lengths.
+        poses: one for each view, in order.
+        notes: what the person should know.
+    """
+
+    camera: Camera
+    rms_px: float
+    focal_std_px: Floats
+    poses: tuple[Pose, ...]
+    notes: tuple[str, ...]
+
+
+def calibrate(views: Sequence[BoardView]) -> Calibration:
+    """Calibrate a camera on three or more views of a board from different directions.
+
+    Zhang's method through OpenCV, with k1, k2, p1, p2; k3 stays 0, as it mostly fits noise.
+
+    Raises:
+        InputError: too few views, or of different sizes.
+    """
+    import cv2
+
+    if len(views) < _FEWEST_VIEWS:
+        raise InputError(
+            f"{len(views)} photographs with a board; at least {_FEWEST_VIEWS} from different "
+            "directions, better ten, were wanted"
+        )
+    size = _one_size(views)
+    rms, matrix, distortion, turns, shifts, spread, _, _ = cv2.calibrateCameraExtended(
+        [view.points_m.astype(np.float32) for view in views],
+        [view.pixels.astype(np.float32) for view in views],
+        size[::-1],
+        None,
+        None,
+        flags=cv2.CALIB_FIX_K3,
+    )
+    camera = Camera(np.asarray(matrix), np.ravel(distortion)[:5], size)
+    poses = tuple(
+        _pose(view, camera, turn, shift)
+        for view, turn, shift in zip(views, turns, shifts, strict=True)
+    )
+    focal_std = np.ravel(spread)[:2].astype(np.float64)
+    return Calibration(
+        camera, float(rms), focal_std, poses, _notes(views, poses, camera, focal_std)
+    )
+
+
+def board_pose(view: BoardView, camera: Camera) -> Pose:
+    """Where the board lies in one photograph of a calibrated camera.
+
+    Raises:
+        InputError: the photograph has another size than the camera's.
+    """
+    import cv2
+
+    if view.size != camera.size:
+        (height, width), (h, w) = view.size, camera.size
+        raise InputError(
+            f"{view.name}: {width} x {height} pixels, but the camera was calibrated at {w} x {h}; "
+            "photographs as they come from the camera, not resized or cropped, were wanted"
+        )
+    found, turn, shift = cv2.solvePnP(
+        view.points_m, view.pixels, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE
+    )
+    if not found:
+        raise InputError(f"{view.name}: no pose fits its {len(view.ids)} corners")
+    turn, shift = cv2.solvePnPRefineLM(
+        view.points_m, view.pixels, camera.matrix, camera.distortion, turn, shift
+    )
+    return _pose(view, camera, turn, shift)
+
+
+def reprojected(view: BoardView, camera: Camera, pose: Pose) -> Floats:
+    """`[n, 2]` pixels at which the view's corners should be."""
+    import cv2
+
+    turn, _ = cv2.Rodrigues(pose.rotation)
+    pixels, _ = cv2.projectPoints(
+        view.points_m, turn, pose.translation_m, camera.matrix, camera.distortion
+    )
+    # [n, 1, 2] in some versions of OpenCV: subtracting [n, 2] from it would broadcast to [n, n, 2]
+    return np.asarray(pixels, np.float64).reshape(-1, 2)
+
+
+def read_camera(path: str | os.PathLike[str]) -> Camera:
+    """Read what `raden capture calibrate` wrote, or an OpenCV calibration file (.yml, .xml).
+
+    Raises:
+        InputError: not such a file, or numbers that are no camera's.
+    """
+    if Path(path).suffix.lower() in (".yml", ".yaml", ".xml"):
+        camera = _opencv_camera(path)
+    else:
+        found = read_result(
+            path,
+            _KIND,
+            ("camera_matrix_px", "distortion", "image_width_px", "image_height_px"),
+        )
+        height, width = (
+            int(numbers(path, found, f"image_{side}_px", ())) for side in ("height", "width")
+        )
+        camera = Camera(
+            numbers(path, found, "camera_matrix_px", (3, 3)),
+            numbers(path, found, "distortion", (-1,)),
+            (height, width),
+        )
+    focal = np.diag(camera.matrix)[:2]
+    if not ((focal > 0).all() and min(camera.size) > 0 and camera.matrix[2, 2] == 1):
+        raise InputError(f"{path}: no camera matrix: focal lengths above 0 and a size were wanted")
+    if len(camera.distortion) not in (4, 5, 8, 12, 14):
+        raise InputError(f"{path}: {len(camera.distortion)} distortion coefficients; 5 were wanted")
+    return camera
+
+
+def write_camera(
+    path: str | os.PathLike[str],
+    camera: Camera,
+    views: Sequence[BoardView],
+    poses: Sequence[Pose],
+    *,
+    calibration: Calibration | None,
+    made_from: Collection[str | os.PathLike[str]],
+) -> None:
+    """Write a camera and the board's poses for the next step (`read_camera`) and for a person.
+
+    Args:
+        calibration: None where the camera was given and only the poses were found.
+    """
+    board = views[0].board
+    content: dict[str, Any] = {
+        "camera_matrix_px": camera.matrix,
+        "distortion": camera.distortion,
+        "image_width_px": camera.size[1],
+        "image_height_px": camera.size[0],
+        "horizontal_field_of_view_deg": round(camera.fov_deg, 3),
+    }
+    if calibration is not None:
+        content["reprojection_rms_px"] = calibration.rms_px
+        content["focal_std_px"] = calibration.focal_std_px
+        content["notes"] = list(calibration.notes)
+    content["board"] = {
+        "columns": board.columns,
+        "rows": board.rows,
+        "square_m": board.square_m,
+        "marker_m": board.marker_m,
+        "dictionary": board.dictionary,
+        "legacy": board.legacy,
+    }
+    content["poses"] = [
+        {
+            "file": Path(view.name).name,
+            "corners": len(view.ids),
+            "reprojection_rms_px": pose.rms_px,
+            "rotation_board_to_camera": pose.rotation,
+            "translation_board_to_camera_m": pose.translation_m,
+        }
+        for view, pose in zip(views, poses, strict=True)
+    ]
+    write_result(path, _KIND, content, made_from=made_from)
+
+
+def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
+    """The board of a camera file and its pose in each photograph, by file name.
+
+    Raises:
+        InputError: not such a file, or damaged.
+    """
+    found = read_result(path, _KIND, ("board", "poses"))
+    try:
+        board = Board(**found["board"])
+        poses = {
+            str(entry["file"]): Pose(
+                numbers(path, entry, "rotation_board_to_camera", (3, 3)),
+                numbers(path, entry, "translation_board_to_camera_m", (3,)),
+                float(entry["reprojection_rms_px"]),
+            )
+            for entry in found["poses"]
+        }
+    except InputError:
+        raise
+    except (TypeError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: its board or poses are damaged ({error!r})") from None
+    return board, poses
+
+
+def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
+    import cv2
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: no such file; a camera file was wanted")
+    try:
+        file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+    except (cv2.error, SystemError):
+        raise InputError(f"{path}: not an OpenCV file; a calibration was wanted") from None
+    try:
+        matrix, distortion = (
+            file.getNode(name).mat() for name in ("camera_matrix", "distortion_coefficients")
+        )
+        width, height = (file.getNode(f"image_{side}").real() for side in ("width", "height"))
+    finally:
+        file.release()
+    if matrix is None or matrix.shape != (3, 3) or distortion is None:
+        raise InputError(
+            f"{path}: no camera_matrix and distortion_coefficients; an OpenCV calibration wanted"
+        )
+    return Camera(
+        np.asarray(matrix, np.float64),
+        np.ravel(distortion).astype(np.float64),
+        (int(height), int(width)),
+    )
+
+
+def _pose(view: BoardView, camera: Camera, turn: NDArray[Any], shift: NDArray[Any]) -> Pose:
+    import cv2
+
+    rotation, _ = cv2.Rodrigues(turn)
+    pose = Pose(np.asarray(rotation, np.float64), np.ravel(shift).astype(np.float64), 0.0)
+    off = reprojected(view, camera, pose) - view.pixels
+    rms = float(np.sqrt((off**2).sum(axis=1).mean()))
+    return Pose(pose.rotation, pose.translation_m, rms)
+
+
+def _one_size(views: Sequence[BoardView]) -> tuple[int, int]:
+    for view in views[1:]:
+        if view.size != views[0].size:
+            (h, w), (height, width) = views[0].size, view.size
+            raise InputError(
+                f"{view.name}: {width} x {height} pixels, but {views[0].name} has {w} x {h}; "
+                "photographs of one size from one camera were wanted"
+            )
+    return views[0].size
+
+
+def _notes(
+    views: Sequence[BoardView], poses: Sequence[Pose], camera: Camera, focal_std: Floats
+) -> tuple[str, ...]:
+    notes = []
+    share = float((focal_std / np.diag(camera.matrix)[:2]).max())
+    if share > _UNCERTAIN_FOCAL:
+        notes.append(
+            f"the focal length is known to {100 * share:.0f} % only; add views with the board "
+            "tilted by 30 to 45 degrees, filling the frame"
+        )
+    typical = float(np.median([pose.rms_px for pose in poses]))
+    for view, pose in zip(views, poses, strict=True):
+        if pose.rms_px > max(3 * typical, _GOOD_RMS_PX):
+            notes.append(
+                f"{Path(view.name).name}: re-projection rms {pose.rms_px:.2f} px against "
+                f"{typical:.2f} px in the others; blurred or bent? Leave it out"
+            )
+    seen = np.concatenate([view.pixels for view in views])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    covered = float(np.prod((high - low) / np.array(camera.size[::-1])))
+    if covered < 0.4:
+        notes.append(
+            f"the boards cover {100 * covered:.0f} % of the frame; distortion outside is a guess"
+        )
+    return tuple(notes)
