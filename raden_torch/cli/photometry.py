@@ -51,12 +51,12 @@ def lights(
         list[Path] | None,
         typer.Option(help="white on the ball; once a ball (two or more place near lamps)"),
     ] = None,
-    focal_px: Annotated[
-        float | None, typer.Option(help="focal length in pixels; without it the camera is far away")
+    camera: Annotated[
+        Path | None, typer.Option(help="of `raden capture calibrate`; else the camera is far away")
     ] = None,
     ball_radius: Annotated[
-        float, typer.Option(help="of the balls in mm, for positions; with --focal-px")
-    ] = 1.0,
+        float | None, typer.Option(help="of the balls in mm, for positions; with --camera")
+    ] = None,
     reference: Annotated[
         str | None,
         typer.Option(help="photographs of a matt grey reference, as 'grey.*.png' (in quotes)"),
@@ -89,8 +89,8 @@ def lights(
         found = capture_lights(
             photos,
             mask or [],
-            focal_px=focal_px,
-            ball_radius=ball_radius,
+            camera=camera,
+            ball_radius_mm=ball_radius,
             reference=matt,
             coded=coded.value,
             progress=progress,

@@ -100,7 +100,7 @@ def test_a_matt_sphere(method, dtype: torch.dtype, device: torch.device) -> None
     assert close.median() < 1e-3
     assert (found.normal.cpu()[(mask == 0).expand_as(normal)] == 0).all()
     assert (found.confidence.cpu()[mask == 0] == 0).all()
-    assert found.confidence.cpu()[inside].min() > 0.8
+    assert found.confidence.cpu()[inside].quantile(0.1) > 0.8
 
 
 def test_robust_methods_survive_shadows_and_highlights() -> None:
@@ -119,7 +119,7 @@ def test_robust_methods_survive_shadows_and_highlights() -> None:
     assert off["least-squares"].median() > 3.0
     assert off["robust"].median() < 0.8
     assert off["selection"].median() < 0.8
-    assert off["robust"].quantile(0.95) < 0.6 * off["least-squares"].quantile(0.95)
+    assert off["robust"].quantile(0.95) < 0.3 * off["least-squares"].quantile(0.95)
 
 
 def test_confidence_knows_where_the_normals_are_worse() -> None:
@@ -156,7 +156,7 @@ def test_slightly_wrong_intensities_are_refined() -> None:
     refined = solve_normals(images, lights, refine_intensity=True)
     told = errors(solve_normals(images, lights, intensity=true).normal, normal, mask)
     assert (refined.intensity - true).abs().max() < 0.01
-    assert errors(refined.normal, normal, mask).median() < 0.2 * plain.median()
+    assert errors(refined.normal, normal, mask).median() < 0.05 * plain.median()
     assert told.median() < 0.02
 
 

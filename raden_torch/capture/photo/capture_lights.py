@@ -6,12 +6,14 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
-from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
+from raden_torch.capture.photo.ball import Ball, Floats, ball_from_mask, find_ball
+from raden_torch.capture.photo.camera import read_camera
 from raden_torch.capture.photo.highlight import Highlight, find_highlight
 from raden_torch.capture.photo.lamps import Lamps, lamps_from_balls
 from raden_torch.capture.photo.photo_set import (
@@ -62,8 +64,8 @@ def capture_lights(
     photographs: Sequence[Path],
     masks: Sequence[Path] = (),
     *,
-    focal_px: float | None = None,
-    ball_radius: float = 1.0,
+    camera: Path | None = None,
+    ball_radius_mm: float | None = None,
     reference: Reference | None = None,
     coded: Coding = "auto",
     progress: Callable[[float], None] | None = None,
@@ -72,9 +74,8 @@ def capture_lights(
 
     Args:
         masks: one a ball; where none, the ball is looked for in the photographs.
-        focal_px: of a camera without distortion that looks through the picture's centre; None where
-            it is far away.
-        ball_radius: in mm, with a camera.
+        camera: a camera file (`camera.read_camera`); None where the camera is far away.
+        ball_radius_mm: with a camera; it gives positions their scale.
         progress: called with the share that is done, 0…1.
 
     Raises:
@@ -82,36 +83,67 @@ def capture_lights(
     """
     done = progress or (lambda share: None)
     photos = read_set(photographs, coded=coded, progress=lambda share: done(0.5 * share))
-    matrix = None
-    if focal_px is not None:
-        if not (focal_px > 0 and ball_radius > 0):
-            raise InputError("focal length and ball radius: positive numbers were wanted")
-        height, width = photos.size
-        matrix = np.array(
-            [[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1.0]]
-        )
-    linear = [image.movedim(0, -1).numpy() for image in photos.images]
+    lens = _Lens.of(camera, ball_radius_mm, photos.size)
+    linear = [lens.straight(image.movedim(0, -1).numpy()) for image in photos.images]
+    shape: dict[str, Any] = {"matrix": lens.matrix, "radius": lens.radius_mm}
     if masks:
+        painted = [lens.straight(read_mask(path, photos.size)) for path in masks]
         balls = [
-            ball_from_mask(
-                read_mask(path, photos.size), matrix=matrix, radius=ball_radius, name=path
-            )
-            for path in masks
+            ball_from_mask(mask, **shape, name=path)
+            for mask, path in zip(painted, masks, strict=True)
         ]
     else:
-        balls = [find_ball(linear, matrix=matrix, radius=ball_radius, name=photographs[0])]
+        balls = [find_ball(linear, **shape, name=photographs[0])]
     seen = [
         [find_highlight(image, ball, name=path) for ball in balls]
         for image, path in zip(linear, photos.paths, strict=True)
     ]
-    lamps = lamps_from_balls(balls, seen, unit="px" if matrix is None else "mm")
+    lamps = lamps_from_balls(balls, seen, unit="px" if camera is None else "mm")
     check_lights(torch.from_numpy(lamps.direction))
     _warn_of_twins(lamps)
     done(0.6)
     if reference is not None:
         lamps = _with_reference(lamps, reference, coded, lambda share: done(0.6 + 0.4 * share))
     done(1.0)
-    return FoundLamps(lamps, balls, seen, photos)
+    return FoundLamps(lamps, balls, seen, lens.straightened(photos, linear))
+
+
+@dataclass(frozen=True, eq=False)
+class _Lens:
+    """The camera, if there is one: its matrix, and pictures without its distortion."""
+
+    matrix: Floats | None = None
+    distortion: Floats | None = None
+    radius_mm: float = 1.0
+
+    @classmethod
+    def of(cls, path: Path | None, radius_mm: float | None, size: tuple[int, int]) -> _Lens:
+        if path is None:
+            if radius_mm is not None:
+                raise InputError("the ball's radius is of use with a camera only; give its file")
+            return cls()
+        if radius_mm is None or not 0 < radius_mm < np.inf:
+            raise InputError(f"{path}: with a camera the ball's radius in mm is needed, above 0")
+        camera = read_camera(path)
+        if camera.size != size:
+            (h, w), (height, width) = camera.size, size
+            raise InputError(
+                f"{path}: a camera of {w} x {h} pixels, but the photographs have {width} x "
+                f"{height}; the camera that took them, at the same size, was wanted"
+            )
+        return cls(camera.matrix, camera.distortion, radius_mm)
+
+    def straight(self, image: NDArray[Any]) -> NDArray[Any]:
+        import cv2
+
+        if self.matrix is None or self.distortion is None:
+            return image
+        return cv2.undistort(image, self.matrix, self.distortion)
+
+    def straightened(self, photos: PhotoSet, linear: list[NDArray[Any]]) -> PhotoSet:
+        if self.matrix is None:
+            return photos
+        return replace(photos, images=torch.from_numpy(np.stack(linear)).movedim(-1, 1))
 
 
 def _with_reference(
