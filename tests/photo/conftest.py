@@ -9,8 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
+from raden_torch.capture.photo.board import Board
 from raden_torch.capture.photo.chart import reference_xyz
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+
+CAMERA_PX = np.array([[620.0, 0, 318], [0, 622, 243], [0, 0, 1]])
+"""Of the simulated photographs of boards, without distortion."""
 
 
 @dataclass(frozen=True)
@@ -105,5 +109,48 @@ def chart_scene() -> Callable[..., Scene]:
         photo = photo + noise * np.random.default_rng(seed).normal(size=photo.shape)
         to_flat = np.array([[pitch, 0, margin * pitch], [0, pitch, margin * pitch], [0, 0, 1.0]])
         return Scene(photo, h @ to_flat)
+
+    return make
+
+
+@pytest.fixture
+def board_scene() -> Callable[..., np.ndarray]:
+    """Make a simulated photograph, `[H, W, 3]` 8 bits, of a printed board before a pinhole."""
+
+    def make(
+        board: Board,
+        rotation_vector: tuple[float, float, float],
+        translation_m: tuple[float, float, float],
+        *,
+        matrix: np.ndarray = CAMERA_PX,
+        size: tuple[int, int] = (480, 640),
+        noise: float = 2.0,
+        blur: float = 0.6,
+        onto: np.ndarray | None = None,
+        seed: int = 0,
+    ) -> np.ndarray:
+        pixels = 60  # a square
+        sheet = board.opencv().generateImage((pixels * board.columns, pixels * board.rows))
+        sheet = cv2.copyMakeBorder(sheet, 20, 20, 20, 20, cv2.BORDER_CONSTANT, value=255)
+        scale = board.square_m / pixels
+        # pixel i of the sheet covers [i, i + 1], its centre is i + 0.5
+        to_m = np.array([[scale, 0, (0.5 - 20) * scale], [0, scale, (0.5 - 20) * scale], [0, 0, 1]])
+        turn, _ = cv2.Rodrigues(np.array(rotation_vector))
+        h = matrix @ np.column_stack([turn[:, 0], turn[:, 1], translation_m]) @ to_m
+        big = 3
+        up = np.array([[big, 0, (big - 1) / 2], [0, big, (big - 1) / 2], [0, 0, 1.0]])
+        shape = (size[1] * big, size[0] * big)
+        ground = np.full(size, 120.0) if onto is None else onto[..., 0].astype(float)
+        seen, cover = (
+            cv2.resize(
+                cv2.warpPerspective(a.astype(np.float32), up @ h, shape),
+                size[::-1],
+                interpolation=cv2.INTER_AREA,
+            )
+            for a in (sheet * 0.8 + 20, np.ones(sheet.shape))
+        )
+        photo = cv2.GaussianBlur(ground * (1 - cover) + seen, (0, 0), blur)
+        photo = photo + noise * np.random.default_rng(seed).normal(size=size)
+        return np.repeat(np.clip(np.rint(photo), 0, 255).astype(np.uint8)[..., None], 3, 2)
 
     return make

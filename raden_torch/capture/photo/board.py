@@ -120,6 +120,10 @@ def find_board(picture: NDArray[np.uint8], board: Board, name: str) -> BoardView
     import cv2
 
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
+    if min(grey.shape) < 32:
+        raise InputError(
+            f"{name}: {grey.shape[1]} x {grey.shape[0]} pixels; a photograph of a board was wanted"
+        )
     forms = [board] if board.legacy is not None else [replace(board, legacy=False)]
     if board.legacy is None and board.rows % 2 == 0:
         forms.append(replace(board, legacy=True))

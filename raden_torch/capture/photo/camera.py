@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.board import Board, BoardView
+from raden_torch.capture.photo.board import FEWEST_CORNERS, Board, BoardView
 from raden_torch.capture.photo.result_file import numbers, read_result, write_result
 from raden_torch.errors import InputError
 
@@ -25,6 +25,7 @@ _KIND = "camera"
 _FEWEST_VIEWS = 3
 _GOOD_RMS_PX = 1.0
 _UNCERTAIN_FOCAL = 0.02
+_STRAY_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +56,13 @@ class Pose:
         rotation: `[3, 3]`.
         translation_m: `[3]`.
         rms_px: re-projection error, √(mean of the squared distances).
+        corners: that the pose was fitted to.
     """
 
     rotation: Floats
     translation_m: Floats
     rms_px: float
+    corners: int
 
     @property
     def camera_in_board_m(self) -> Floats:
@@ -123,10 +126,12 @@ def calibrate(views: Sequence[BoardView]) -> Calibration:
 def board_pose(view: BoardView, camera: Camera) -> Pose:
     """Where the board lies in one photograph of a calibrated camera.
 
+    A corner that lies more than a pixel off, and three times the median, is left out, once: it sits
+    on the edge of something that covers the board.
+
     Raises:
         InputError: the photograph has another size than the camera's.
     """
-    import cv2
 
     if view.size != camera.size:
         (height, width), (h, w) = view.size, camera.size
@@ -134,15 +139,12 @@ def board_pose(view: BoardView, camera: Camera) -> Pose:
             f"{view.name}: {width} x {height} pixels, but the camera was calibrated at {w} x {h}; "
             "photographs as they come from the camera, not resized or cropped, were wanted"
         )
-    found, turn, shift = cv2.solvePnP(
-        view.points_m, view.pixels, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE
-    )
-    if not found:
-        raise InputError(f"{view.name}: no pose fits its {len(view.ids)} corners")
-    turn, shift = cv2.solvePnPRefineLM(
-        view.points_m, view.pixels, camera.matrix, camera.distortion, turn, shift
-    )
-    return _pose(view, camera, turn, shift)
+    pose = _solved(view, camera)
+    off = np.linalg.norm(reprojected(view, camera, pose) - view.pixels, axis=1)
+    near = off <= max(_STRAY_PX, 3 * float(np.median(off)))
+    if near.all() or near.sum() < FEWEST_CORNERS:
+        return pose
+    return _solved(replace(view, ids=view.ids[near], pixels=view.pixels[near]), camera)
 
 
 def reprojected(view: BoardView, camera: Camera, pose: Pose) -> Floats:
@@ -224,7 +226,7 @@ def write_camera(
     content["poses"] = [
         {
             "file": Path(view.name).name,
-            "corners": len(view.ids),
+            "corners": pose.corners,
             "reprojection_rms_px": pose.rms_px,
             "rotation_board_to_camera": pose.rotation,
             "translation_board_to_camera_m": pose.translation_m,
@@ -248,6 +250,7 @@ def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
                 numbers(path, entry, "rotation_board_to_camera", (3, 3)),
                 numbers(path, entry, "translation_board_to_camera_m", (3,)),
                 float(entry["reprojection_rms_px"]),
+                int(entry["corners"]),
             )
             for entry in found["poses"]
         }
@@ -285,14 +288,27 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
     )
 
 
+def _solved(view: BoardView, camera: Camera) -> Pose:
+    import cv2
+
+    points, pixels = view.points_m, view.pixels
+    lens = camera.matrix, camera.distortion
+    found, turn, shift = cv2.solvePnP(points, pixels, *lens, flags=cv2.SOLVEPNP_IPPE)
+    if not found:
+        raise InputError(f"{view.name}: no pose fits its {len(view.ids)} corners")
+    turn, shift = cv2.solvePnPRefineLM(points, pixels, *lens, turn, shift)
+    return _pose(view, camera, turn, shift)
+
+
 def _pose(view: BoardView, camera: Camera, turn: NDArray[Any], shift: NDArray[Any]) -> Pose:
     import cv2
 
     rotation, _ = cv2.Rodrigues(turn)
-    pose = Pose(np.asarray(rotation, np.float64), np.ravel(shift).astype(np.float64), 0.0)
+    place = np.asarray(rotation, np.float64), np.ravel(shift).astype(np.float64)
+    pose = Pose(*place, 0.0, len(view.ids))
     off = reprojected(view, camera, pose) - view.pixels
     rms = float(np.sqrt((off**2).sum(axis=1).mean()))
-    return Pose(pose.rotation, pose.translation_m, rms)
+    return Pose(*place, rms, len(view.ids))
 
 
 def _one_size(views: Sequence[BoardView]) -> tuple[int, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -31,6 +31,7 @@ _NO_CHART, _CLEARLY = 0.45, 0.75
 than the second times those of any other orientation, are no chart's. (Right ones leave 0.03 to
 0.15, and 0.41 in a photograph with a steep tone curve; turned the wrong way they leave 0.55.)"""
 _SMALLEST_PX = 5.0
+_WORKING_PX = 2400  # of the longer side: charts are looked for in nothing larger
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +115,21 @@ def find_charts(picture: NDArray[np.uint8], name: str, *, most: int = 4) -> list
     """
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
         raise InputError(f"{name}: {picture.dtype} {list(picture.shape)}; 8-bit RGB wanted")
+    import cv2
+
+    scale = min(1.0, _WORKING_PX / max(picture.shape[:2]))
+    if scale < 1:
+        height, width = picture.shape[:2]
+        size = round(width * scale), round(height * scale)
+        charts = _search(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), name, most)
+        grow = np.diag([width / size[0], height / size[1], 1.0])
+        # pixel centres are whole numbers, so half a pixel comes and goes with the scale
+        grow[:2, 2] = (np.diag(grow)[:2] - 1) / 2
+        return [replace(chart, homography=grow @ chart.homography) for chart in charts]
+    return _search(picture, name, most)
+
+
+def _search(picture: NDArray[np.uint8], name: str, most: int) -> list[Chart]:
     cut = False
     for grids in _candidates(picture, most):
         charts: list[Chart] = []

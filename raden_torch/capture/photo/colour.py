@@ -156,17 +156,19 @@ def write_colour(
             "chart_corners_px": np.round(chart.corners, 2),
             "chart_mirrored": chart.mirrored,
             "chart_rotation_deg": round(chart.rotation_deg, 2),
-            "mean_delta_e_2000": report.mean,
-            "worst_delta_e_2000": report.worst,
+            "mean_delta_e_2000": round(report.mean, 4),
+            "worst_delta_e_2000": round(report.worst, 4),
             "left_out_delta_e_2000": {
-                name: {"mean": mean, "worst": worst}
+                name: {"mean": round(mean, 4), "worst": round(worst, 4)}
                 for name, (mean, worst) in report.left_out.items()
             },
             "patches_left_out_delta_e_2000": {
                 name: None if np.isnan(value) else round(float(value), 3)
                 for name, value in zip(PATCH_NAMES, report.patches, strict=True)
             },
-            "neutral_exponent": report.neutral_exponent,
+            "neutral_exponent": None
+            if np.isnan(report.neutral_exponent)
+            else round(report.neutral_exponent, 4),
             "notes": list(report.notes),
         },
         made_from=made_from,

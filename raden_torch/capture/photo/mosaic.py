@@ -27,11 +27,13 @@ def demosaiced(mosaic: NDArray[Any], pattern: str) -> NDArray[np.float32]:
     import cv2
 
     tent = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
+    cross = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4  # green lies on diagonals
     planes = []
-    for mask in colour_masks(pattern, *mosaic.shape).values():
+    for colour, mask in colour_masks(pattern, *mosaic.shape).items():
         there = mask.astype(np.float32)
+        kernel = cross if colour == "G" else tent
         both = (
-            cv2.filter2D(plane, -1, tent, borderType=cv2.BORDER_CONSTANT)
+            cv2.filter2D(plane, -1, kernel, borderType=cv2.BORDER_CONSTANT)
             for plane in (mosaic.astype(np.float32) * there, there)
         )
         planes.append(np.divide(*both))
