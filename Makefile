@@ -23,6 +23,7 @@ bench: $(VENV)/made
 	$(BIN)/raden bench --out benchmarks/results
 	$(BIN)/python benchmarks/onnx_session.py
 	$(BIN)/python benchmarks/kernel.py
+	$(BIN)/python benchmarks/normals.py
 
 clean:
 	rm -rf $(VENV) demo

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -24,7 +25,7 @@ from raden_torch.brdf.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.model_file import load_model
 from raden_torch.brdf.plate import plate, shade_plate
-from raden_torch.brdf.relight import lamp_ring, relight, relit_strip
+from raden_torch.brdf.relight import lamp_ring, relight, relit_under, tiled
 from raden_torch.brdf.shade import shade
 from raden_torch.brdf.shade_file import shade_file
 from raden_torch.brdf.shapes import average_samples, sphere
@@ -47,6 +48,12 @@ SHAPES = {
         (PointLight((-0.7, 1.1, 2.6)), PointLight((1.6, 0.7, 2.2), (1.6, 1.6, 1.6))),
     ),
 }
+
+
+_MARGIN = 0.06
+"""Of the object's size, around it in a sheet."""
+_EXPOSED_FOR = 0.95
+"""The share of the relit pixels that a sheet shows without clipping: sparkles may clip."""
 
 
 def render_shape(
@@ -161,19 +168,28 @@ def relight_files(
     *,
     lights: Sequence[Light] = (),
     strip: int | None = None,
+    sheet: int | None = None,
     elevation_deg: float = 40.0,
     green: Green = "opengl",
     fov_deg: float | None = None,
     exposure_ev: float | None = None,
+    original: Path | tuple[float, float, float] | None = None,
+    coded: Literal["srgb", "linear"] = "srgb",
 ) -> list[Path]:
     """Relight photographs that share a normal map and a mask; returns the files written.
 
     Args:
         output: the image to write, or a folder (made where missing) for several photographs.
         strip: this many lamps in a ring, side by side, instead of `lights`.
+        sheet: this many lamps in a ring, in rows, cut to the mask, each with a dial that shows its
+            lamp; exposed for the relit part where `exposure_ev` is None.
         elevation_deg: the ring's angle above the picture's plane.
         fov_deg: of an EXR that holds depth instead of normals.
         exposure_ev: stops; where None the masked part keeps its mean luminance.
+        original: the direction to the lamp that the photographs were taken under, or the
+            normals.json of `raden capture normals`, which knows it by the photograph's name: keeps
+            the photograph's own texture.
+        coded: what whole numbers in the photographs are; the pictures are written as sRGB.
     """
     targets = _targets(photos, output)
     loaded = load_model(model)
@@ -181,15 +197,71 @@ def relight_files(
     coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
     gain = None if exposure_ev is None else 2.0**exposure_ev
     for path, target in zip(photos, targets, strict=True):
-        photo = read_photograph(path)
+        photo = read_photograph(path, coded=coded)
+        before = None if original is None else [_original_lamp(original, path)]
+        scene = (loaded, photo.linear, normal, coverage)
         with torch.no_grad():
-            if strip is None:
-                relit = relight(loaded, photo.linear, normal, coverage, lights, gain=gain)
+            if strip is None and sheet is None:
+                relit = relight(*scene, lights, gain=gain, original=before)
             else:
-                lamps = lamp_ring(strip, elevation_deg)
-                relit = relit_strip(loaded, photo.linear, normal, coverage, lamps, gain=gain)
+                lamps = lamp_ring(strip or sheet or 0, elevation_deg)
+                tiles = relit_under(*scene, lamps, gain=gain, original=before)
+                relit = tiled(tiles, len(lamps)) if strip else _sheet(tiles, coverage, lamps, gain)
         write_photograph(replace(photo, linear=relit), target, caption_of(loaded))
     return targets
+
+
+def _sheet(
+    tiles: Tensor, mask: Tensor, lamps: Sequence[DirectionalLight], gain: float | None
+) -> Tensor:
+    """`[1, 3, …]`: the tiles cut to the mask, in rows, with dials, exposed together."""
+    rows, columns = (m.flatten() for m in torch.nonzero(mask[0, 0] > 0, as_tuple=True))
+    margin = max(4, int(_MARGIN * max(rows.max() - rows.min(), columns.max() - columns.min())))
+    top, bottom = int(rows.min()) - margin, int(rows.max()) + margin + 1
+    left, right = int(columns.min()) - margin, int(columns.max()) + margin + 1
+    window = (..., slice(max(top, 0), bottom), slice(max(left, 0), right))
+    cut, inside = tiles[window], (mask[window] > 0.5).to(tiles.dtype)
+    if gain is None:
+        cut = cut * 2.0 ** auto_exposure_ev((cut * inside)[:, 0], share=_EXPOSED_FOR)
+    for tile, lamp in zip(cut, lamps, strict=True):
+        _draw_dial(tile[0], lamp)
+    height, width = cut.shape[-2:]
+    # as near to a 3:2 picture as whole rows allow
+    wanted = max(1, round((1.5 * len(lamps) * height / width) ** 0.5))
+    fits = [n for n in range(1, len(lamps) + 1) if len(lamps) % n == 0] or [wanted]
+    return tiled(cut, min(fits, key=lambda n: abs(n - wanted)))
+
+
+def _draw_dial(tile: Tensor, lamp: DirectionalLight) -> None:
+    """A disc in the lower right corner of `[3, H, W]`: the hemisphere, a dot where the lamp is."""
+    height, width = tile.shape[-2:]
+    r = max(5.0, 0.05 * min(height, width))
+    y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    x, y = x - (width - 1 - 1.6 * r), (height - 1 - 1.6 * r) - y
+    direction = torch.as_tensor(lamp.direction, dtype=torch.float64)
+    dx, dy, _ = (direction / direction.norm() * r).tolist()
+    away = torch.hypot(x.double(), y.double())
+    rim = (1 - (away - r).abs()).clamp(0, 1)
+    dot = (0.28 * r + 1 - torch.hypot(x - dx, y - dy)).clamp(0, 1)
+    for value, cover in ((0.0, (away < r).double() * 0.6), (0.35, rim), (0.9, dot)):
+        tile += cover.to(tile.dtype) * (value - tile)
+
+
+def _original_lamp(
+    original: Path | tuple[float, float, float], photograph: Path
+) -> DirectionalLight:
+    """The lamp that a photograph was taken under."""
+    if not isinstance(original, Path):
+        return DirectionalLight(original)
+    from raden_torch.capture.photo.result_file import read_result
+
+    found = read_result(original, "normals", ("lamps",))
+    for lamp in found["lamps"]:
+        if lamp.get("photograph") == photograph.name:
+            return DirectionalLight(lamp["direction_to_lamp"])
+    raise InputError(
+        f"{original}: {photograph.name} is none of its photographs; give the lamp as x,y,z"
+    )
 
 
 def _targets(photos: Sequence[Path], output: Path) -> list[Path]:

@@ -35,8 +35,14 @@ class Photograph:
     levels: int | None
 
 
-def read_photograph(path: str | os.PathLike[str]) -> Photograph:
-    """Read an 8- or 16-bit PNG, JPEG or TIFF (sRGB), or a float TIFF, HDR or EXR (linear).
+def read_photograph(
+    path: str | os.PathLike[str], *, coded: Literal["srgb", "linear"] = "srgb"
+) -> Photograph:
+    """Read an 8- or 16-bit PNG, JPEG or TIFF, or a float TIFF, HDR or EXR (linear).
+
+    Args:
+        coded: whether whole numbers are sRGB, or linear light as a camera's raw converter may
+            write it.
 
     Raises:
         InputError: missing, not an image, or too large.
@@ -50,7 +56,8 @@ def read_photograph(path: str | os.PathLike[str]) -> Photograph:
     rgb = _tensor(pixels)
     if levels is None:
         return Photograph(rgb, None)
-    return Photograph(rgb_to_linear_rgb(rgb / levels), levels)
+    stored = rgb / levels
+    return Photograph(stored if coded == "linear" else rgb_to_linear_rgb(stored), levels)
 
 
 def write_photograph(

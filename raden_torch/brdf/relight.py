@@ -8,12 +8,15 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from raden_torch import geometry
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import DirectionalLight, Light
 from raden_torch.brdf.shade import Reflection, shade
 from raden_torch.errors import InputError
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
+_DARK = 0.1
+"""Of the brightest shading: below it a photograph knows little of the texture."""
 
 
 def relight(
@@ -24,6 +27,7 @@ def relight(
     lights: Sequence[Light],
     *,
     gain: float | Tensor | None = None,
+    original: Sequence[Light] | None = None,
 ) -> Tensor:
     """Replace the masked part of photographs by the model under new lights.
 
@@ -33,6 +37,8 @@ def relight(
         mask: `[B or 1, 1, H, W]`, 0…1; its soft edge blends in linear light.
         lights: directional lights in the normals' frame.
         gain: the photograph's radiance for a shaded radiance of 1; where None, `matching_gain`.
+        original: the lights that the photographs were taken under: the photographs' own texture
+            (see `texture_of`) is kept then. None leaves the model alone.
 
     Returns:
         `[B, 3, H, W]` scene-linear RGB, equal to `photo` where the mask is 0.
@@ -40,11 +46,59 @@ def relight(
     Raises:
         InputError: sizes that differ, or an empty mask.
     """
+    return relit_under(model, photo, normal, mask, [lights], gain=gain, original=original)[0]
+
+
+def relit_under(
+    model: Reflection,
+    photo: Tensor,
+    normal: Tensor,
+    mask: Tensor,
+    settings: Sequence[Sequence[Light] | Light],
+    *,
+    gain: float | Tensor | None = None,
+    original: Sequence[Light] | None = None,
+) -> Tensor:
+    """`[settings, B, 3, H, W]`: the photographs once under each setting of lights.
+
+    Args: as for `relight`; one gain for all: the mean over the settings keeps the mean luminance.
+    """
     _check_sizes(photo, normal, mask)
-    shaded = shade(model, GBuffer(normal, view=(0.0, 0.0, 1.0)), lights)
+    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0))
+    shaded = torch.stack([shade(model, gbuffer, lights) for lights in settings]).to(photo.dtype)
+    if original is not None:
+        shaded = shaded * texture_of(photo, normal, mask, original)
     if gain is None:
-        gain = matching_gain(photo, shaded, mask)
-    return photo + mask * (gain * shaded.to(photo.dtype) - photo)
+        gain = matching_gain(photo, shaded.mean(dim=0), mask)
+    return photo + mask * (gain * shaded - photo)
+
+
+def texture_of(photo: Tensor, normal: Tensor, mask: Tensor, lights: Sequence[Light]) -> Tensor:
+    """The photographs over a matt surface's shading under the lights they were taken under.
+
+    With I the photograph, s the shading and t̄ the mean texture, (I s + e² t̄)/(s² + e²): I/s where
+    there was light, the mean in the shadows, where nothing is known (e is a tenth of the brightest
+    shading). Shadows that the object cast on itself, and its highlights, stay in it.
+
+    Args:
+        lights: directional lights in the normals' frame.
+
+    Returns:
+        `[B, 3, H, W]`, of mean luminance 1 over the mask.
+    """
+    normals = geometry.normalised(normal.to(photo.dtype))
+    shading = torch.zeros_like(photo[:, :1])
+    for light in lights:
+        direction, irradiance = light.at(None, normals)
+        cosine = geometry.dot(normals, geometry.normalised(direction)).clamp(min=0)
+        shading = shading + cosine * irradiance
+    shading = shading * mask / shading.mul(mask).amax().clamp(min=1e-12)
+    weights = photo.new_tensor(_LUMINANCE).view(3, 1, 1)
+    area = (mask.expand(len(photo), -1, -1, -1) * shading**2).sum(dim=(2, 3), keepdim=True)
+    mean = (mask * photo * shading).sum(dim=(2, 3), keepdim=True) / area.clamp(min=1e-12)
+    texture = (photo * shading + _DARK**2 * mean) / (shading**2 + _DARK**2)
+    luminance = (mean * weights).sum(dim=1, keepdim=True)
+    return texture / torch.where(luminance > 0, luminance, torch.ones_like(luminance))
 
 
 def matching_gain(photo: Tensor, shaded: Tensor, mask: Tensor) -> Tensor:
@@ -89,12 +143,16 @@ def relit_strip(
 
     Args: as for `relight`; without a gain, the mean over the lamps keeps the mean luminance.
     """
-    _check_sizes(photo, normal, mask)
-    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0))
-    shaded = torch.stack([shade(model, gbuffer, lamp) for lamp in lamps])
-    if gain is None:
-        gain = matching_gain(photo, shaded.mean(dim=0), mask)
-    return torch.cat([photo + mask * (gain * s.to(photo.dtype) - photo) for s in shaded], dim=-1)
+    return tiled(relit_under(model, photo, normal, mask, lamps, gain=gain), len(lamps))
+
+
+def tiled(images: Tensor, columns: int) -> Tensor:
+    """`[N, B, C, H, W]` → `[B, C, H · rows, W · columns]`, row by row; empty tiles are black."""
+    count, batch, channels, height, width = images.shape
+    rows = -(-count // columns)
+    empty = images.new_zeros(rows * columns - count, batch, channels, height, width)
+    grid = torch.cat([images, empty]).reshape(rows, columns, batch, channels, height, width)
+    return grid.permute(2, 3, 0, 4, 1, 5).reshape(batch, channels, rows * height, columns * width)
 
 
 def _check_sizes(photo: Tensor, normal: Tensor, mask: Tensor) -> None:

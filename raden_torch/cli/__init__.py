@@ -5,7 +5,12 @@ from __future__ import annotations
 import sys
 import warnings
 
-from raden_torch.cli import capture, model, picture  # noqa: F401 - importing them adds their subcommands
+from raden_torch.cli import (  # noqa: F401 - importing them adds their subcommands
+    capture,
+    model,
+    photometry,
+    picture,
+)
 from raden_torch.cli.common import app
 from raden_torch.errors import InputError
 

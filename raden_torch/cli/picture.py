@@ -129,6 +129,19 @@ def relight(
     strip: Annotated[
         int | None, typer.Option(help="instead: this many lamps in a ring, side by side")
     ] = None,
+    sheet: Annotated[
+        int | None, typer.Option(help="instead: this many lamps in a ring, as a contact sheet")
+    ] = None,
+    original_light: Annotated[
+        str | None,
+        typer.Option(
+            help="keep the photograph's texture: the lamp it was taken under, as x,y,z, or the "
+            "normals.json of `raden capture normals`"
+        ),
+    ] = None,
+    linear: Annotated[
+        bool, typer.Option("--linear", help="whole numbers in the photographs are linear light")
+    ] = False,
     fov: Annotated[
         float | None, typer.Option(help="of an EXR with depth instead of normals, degrees")
     ] = None,
@@ -145,8 +158,12 @@ def relight(
     """Relight the masked part of photographs; the rest of them is kept."""
     from raden_torch.pictures import relight_files
 
-    if strip is not None and light:
-        raise InputError("--strip brings its own lamps; give --light or --strip")
+    if sum((strip is not None, sheet is not None, bool(light))) > 1:
+        raise InputError("--strip and --sheet bring their own lamps; give one of them or --light")
+    original = None
+    if original_light is not None:
+        is_file = original_light.endswith(".json")
+        original = Path(original_light) if is_file else triple("--original-light", original_light)
     with working("relighting"):
         written = relight_files(
             photos,
@@ -156,6 +173,9 @@ def relight(
             output,
             lights=[light_of(text) for text in light or ["1,1,2"]],
             strip=strip,
+            sheet=sheet,
+            original=original,
+            coded="linear" if linear else "srgb",
             elevation_deg=elevation,
             fov_deg=fov,
             green=green.value,

@@ -1,0 +1,167 @@
+"""Photographs of an object under known lamps → its normals: what `raden capture normals` does."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from raden_torch.capture.photo.lamp_order import OrderCheck, check_order
+from raden_torch.capture.photo.lamps import Lamps, read_lamps
+from raden_torch.capture.photo.photo_set import (
+    PhotoSet,
+    check_exposure,
+    lamp_numbers,
+    read_mask,
+    read_set,
+)
+from raden_torch.capture.photo.photograph import Coding
+from raden_torch.capture.photo.photometric_stereo import (
+    Method,
+    SurfaceNormals,
+    check_lights,
+    solve_normals,
+)
+from raden_torch.errors import InputError
+
+_ODD = 3.0
+"""A lamp whose residual is this many times the median of all is named."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundNormals:
+    """The surface, and what it was found with; `mask` is `[H, W]`, 0…1."""
+
+    surface: SurfaceNormals
+    lamps: Lamps
+    mask: NDArray[Any]
+    exponent: float
+    order: OrderCheck | None
+    notes: tuple[str, ...]
+
+
+def capture_normals(
+    photographs: Sequence[Path],
+    lights: Path,
+    mask: Path | None = None,
+    *,
+    method: Method = "robust",
+    refine_intensity: bool = False,
+    exponent: float | None = None,
+    shadow: float = 0.1,
+    plane_z: float = 0.0,
+    keep_order: bool = False,
+    coded: Coding = "auto",
+    progress: Callable[[float], None] | None = None,
+) -> FoundNormals:
+    """Read photographs and lamps, check that they belong together, and solve.
+
+    Args:
+        lights: a lights file; photograph k was taken under its lamp k.
+        exponent: of the response; None takes the lights file's.
+        plane_z: of the object, for near lamps, which are taken to light a plane that faces the
+            camera: in the frame and unit of the lamps' positions.
+        keep_order: warn instead of raising where another order of the lamps fits clearly better.
+        progress: called with the share that is done, 0…1.
+
+    Raises:
+        InputError: as for what it is made of; the message names the file.
+    """
+    done = progress or (lambda share: None)
+    lamps = read_lamps(lights)
+    if len(lamps) != len(photographs):
+        raise InputError(
+            f"{lights}: {len(lamps)} lamps, but {len(photographs)} photographs; one a lamp, in "
+            "the lamps' order, was wanted"
+        )
+    check_lights(torch.from_numpy(lamps.direction))
+    _warn_of_names(photographs, lamps, lights)
+    photos = read_set(photographs, coded=coded, progress=lambda share: done(0.4 * share))
+    inside = np.ones(photos.size, np.float32) if mask is None else read_mask(mask, photos.size)
+    inside_map = torch.from_numpy(inside)[None, None]
+    check_exposure(photos, inside_map)
+    power = lamps.exponent if exponent is None else exponent
+    intensity = torch.from_numpy(lamps.intensity).float()
+    order = _checked_order(photos, lamps, inside_map, intensity, power, keep_order)
+    surface = solve_normals(
+        photos.images,
+        _directions(lamps, photos.size, plane_z),
+        inside_map,
+        method=method,
+        intensity=intensity,
+        refine_intensity=refine_intensity,
+        saturated=photos.saturated,
+        shadow=shadow,
+        exponent=power,
+        progress=lambda share: done(0.4 + 0.6 * share),
+    )
+    notes = _odd_lamps(surface, photographs)
+    for note in notes:
+        warnings.warn(note, stacklevel=2)
+    return FoundNormals(surface, lamps, inside, power, order, tuple(notes))
+
+
+def _directions(lamps: Lamps, size: tuple[int, int], plane_z: float) -> Tensor:
+    """`[K, 3]`, or `[K, 3, H, W]` for near lamps over a plane that faces the camera."""
+    if lamps.position is None:
+        return torch.from_numpy(lamps.direction).float()
+    return torch.from_numpy(lamps.towards(lamps.plane(size, plane_z))).float()
+
+
+def _checked_order(
+    photos: PhotoSet,
+    lamps: Lamps,
+    mask: Tensor,
+    intensity: Tensor,
+    exponent: float,
+    keep_order: bool,
+) -> OrderCheck | None:
+    linear = photos.images.clamp(min=0).mean(dim=1, keepdim=True) ** exponent
+    order = check_order(
+        linear / intensity.view(-1, 1, 1, 1), torch.from_numpy(lamps.direction), mask
+    )
+    if order is None or not order.uncertain:
+        return order
+    moved = order.moved()
+    shown = ", ".join(
+        f"{photos.paths[k].name} under lamp {order.order[k] + 1}" for k in moved[:4]
+    ) + (" …" if len(moved) > 4 else "")
+    text = (
+        f"the photographs seem to be in another order than the lamps: {100 * order.outside:.1f} % "
+        f"of the light fits no surface, {100 * order.best:.1f} % with {shown}"
+    )
+    if order.doubtful and not keep_order:
+        raise InputError(f"{photos.paths[moved[0]]}: {text}; give them in the lamps' order")
+    warnings.warn(text, stacklevel=3)
+    return order
+
+
+def _warn_of_names(photographs: Sequence[Path], lamps: Lamps, lights: Path) -> None:
+    """Numbers in the names that are in another order than those of the lamps' photographs."""
+    own, theirs = lamp_numbers([p.name for p in photographs]), lamp_numbers(lamps.names)
+    if own is None or theirs is None or own == theirs or set(own) != set(theirs):
+        return
+    k = next(k for k, (a, b) in enumerate(zip(own, theirs, strict=True)) if a != b)
+    warnings.warn(
+        f"{photographs[k]} is photograph {k + 1}, but lamp {k + 1} of {lights} was found in "
+        f"{lamps.names[k]}; are the photographs in the lamps' order?",
+        stacklevel=3,
+    )
+
+
+def _odd_lamps(surface: SurfaceNormals, photographs: Sequence[Path]) -> list[str]:
+    residual = surface.lamp_residual
+    usual = float(residual.median())
+    return [
+        f"{photographs[k].name}: it disagrees with the others {float(r) / usual:.1f} times as much "
+        "as usual; did its lamp, the camera or the object move?"
+        for k, r in enumerate(residual)
+        if float(r) > max(_ODD * usual, 0.02)
+    ]

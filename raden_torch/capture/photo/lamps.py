@@ -1,0 +1,289 @@
+"""Lamps of a set of photographs: which way, where, how bright.
+
+Every vector here points TO a lamp, from the object; none is a surface normal. The frame is the
+camera's: x right, y up, z to the viewer.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.ball import Ball
+from raden_torch.capture.photo.highlight import Highlight
+from raden_torch.capture.photo.result_file import numbers, read_result, write_result
+from raden_torch.errors import InputError
+
+Floats = NDArray[np.float64]
+
+KIND = "lights"
+_PARALLEL_DEG = 0.5
+"""Rays from two balls that differ by less do not tell how far away the lamp is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lamps:
+    """K lamps, one a photograph.
+
+    Attributes:
+        direction: `[K, 3]` unit vectors to the lamps: as seen from the ball, or (near lamps) from
+            the mean of the balls.
+        intensity: `[K]` relative, of mean 1.
+        position: `[K, 3]` of near lamps, in `unit`, else None.
+        miss: `[K]`, how far the rays from the balls pass a near lamp, in `unit`.
+        unit: of positions: "px" without a camera, else the unit of the ball's radius.
+        exponent: of the camera's response, as a reference sphere gave it; 1 is linear.
+        names: the photographs, in order.
+        notes: what a person should know of these lamps.
+        matrix: `[3, 3]` of the camera (pixels, x right, y down) where there was one.
+    """
+
+    direction: Floats
+    intensity: Floats
+    position: Floats | None = None
+    miss: Floats | None = None
+    unit: str = "px"
+    exponent: float = 1.0
+    names: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    matrix: Floats | None = None
+
+    def __len__(self) -> int:
+        return len(self.direction)
+
+    def __str__(self) -> str:
+        """A line a lamp: its angle from the camera's axis, which way, and how bright."""
+        lines = []
+        for k, (x, y, z) in enumerate(self.direction):
+            name = self.names[k] if self.names else f"lamp {k + 1}"
+            away, turn = np.rad2deg(np.arccos(np.clip(z, -1, 1))), np.rad2deg(np.arctan2(y, x))
+            line = f"{name}: {away:.1f} deg from the camera's axis, towards {turn:.0f} deg"
+            line += f" (0 right, 90 up), intensity {self.intensity[k]:.3f}"
+            if self.position is not None and self.miss is not None:
+                at = ", ".join(f"{c:.0f}" for c in self.position[k])
+                line += f", at {at} {self.unit} (rays miss by {self.miss[k]:.1f})"
+            lines.append(line)
+        return "\n".join((*lines, *self.notes))
+
+    def plane(self, size: tuple[int, int], z: float) -> Floats:
+        """`[3, H, W]` points that the pixels see of a plane z, which faces the camera.
+
+        Raises:
+            InputError: with a camera, a plane that is not in front of it (z < 0).
+        """
+        v, u = np.mgrid[: size[0], : size[1]].astype(np.float64)
+        if self.matrix is None:
+            return np.stack([u, -v, np.full_like(u, z)])
+        if not z < 0:
+            raise InputError(
+                f"plane z = {z:g} {self.unit}: the camera is at 0 and looks along -z; give the "
+                "object's distance as a negative number"
+            )
+        ray = np.linalg.inv(self.matrix) @ np.stack([u, v, np.ones_like(u)]).reshape(3, -1)
+        return np.asarray((ray / ray[2] * [[-z], [z], [z]]).reshape(3, *size))
+
+    def towards(self, points: Floats) -> Floats:
+        """`[K, 3, ...]` vectors from points `[3, ...]` to the lamps, for `solve_normals`.
+
+        Their length is the irradiance relative to that at the points' mean: (d̄/d)² for near lamps,
+        1 for those far away.
+        """
+        shape = (-1, 3, *[1] * (points.ndim - 1))
+        if self.position is None:
+            ones = np.ones((len(self), *points.shape))
+            return np.asarray(self.direction.reshape(shape) * ones)
+        to_lamp = self.position.reshape(shape) - points
+        distance = np.linalg.norm(to_lamp, axis=1, keepdims=True)
+        middle = np.nanmean(points.reshape(3, -1), axis=1)
+        reference = np.linalg.norm(self.position - middle, axis=1).reshape(-1, *[1] * points.ndim)
+        return np.asarray(to_lamp / distance * (reference / distance) ** 2)
+
+
+def lamps_from_balls(
+    balls: Sequence[Ball], highlights: Sequence[Sequence[Highlight]], *, unit: str = "px"
+) -> Lamps:
+    """Directions from one mirror ball; positions from two or more.
+
+    Args:
+        balls: B of them, in one frame.
+        highlights: `[K][B]`, the lamp's image in each ball of each photograph.
+        unit: what `Ball.radius` is in.
+    """
+    reflected = [
+        [ball.towards_lamp(h.x_px, h.y_px) for ball, h in zip(balls, row, strict=True)]
+        for row in highlights
+    ]
+    point = np.array([[p for p, _ in row] for row in reflected])
+    direction = np.array([[d for _, d in row] for row in reflected])
+    names = tuple(Path(row[0].found_in).name for row in highlights)
+    if not np.isfinite(direction).all():
+        bad = int(np.argwhere(~np.isfinite(direction).all((1, 2)))[0, 0])
+        raise InputError(f"{highlights[bad][0].found_in}: its highlight lies beside the ball")
+    mean = direction.mean(1)
+    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    lamps = Lamps(mean, np.ones(len(mean)), unit=unit, names=names, matrix=balls[0].matrix)
+    if len(balls) == 1:
+        return lamps
+    apart = np.rad2deg(np.arccos(np.clip((direction * mean[:, None]).sum(-1), -1, 1))).max(1)
+    if float(np.median(apart)) < _PARALLEL_DEG:
+        note = (
+            f"the balls see the lamps {np.median(apart):.2f} degrees apart: they are too far "
+            "away for positions; directions only"
+        )
+        return replace(lamps, notes=(note,))
+    position, miss = _nearest_points(point, direction)
+    middle = np.mean([ball.centre for ball in balls], axis=0)
+    to_lamp = position - middle
+    if bool(((to_lamp * mean).sum(1) <= 0).any()):
+        bad = int(np.argmin((to_lamp * mean).sum(1)))
+        raise InputError(
+            f"{names[bad]}: the rays from the balls part instead of meeting at a lamp; are the "
+            "masks in the order of the balls, and the camera the right one?"
+        )
+    to_lamp = to_lamp / np.linalg.norm(to_lamp, axis=1, keepdims=True)
+    return replace(lamps, direction=to_lamp, position=position, miss=miss)
+
+
+def lamp_from_board(points: Floats, normal: Floats, radiance: Floats) -> tuple[Floats, float]:
+    """A near lamp's position from how a matt, even, flat board without shadows is lit.
+
+    The board shines with c N·(s − x)/|s − x|³ at x; s and c are fitted to the logarithms.
+
+    Args:
+        points: `[P, 3]` on the board (its white fields), in any unit.
+        normal: `[3]` of the board, on the lamp's side; the board's normal, not a light.
+        radiance: `[P]` linear, above 0.
+
+    Returns:
+        The lamp's position `[3]` in the points' frame and unit, and the rms of the relative
+        residuals.
+
+    Raises:
+        InputError: fewer than 12 points, dark ones, points in a line, or a lamp too far away: its
+            light hardly changes over the board.
+    """
+    from scipy.optimize import least_squares
+
+    points, radiance = np.asarray(points, float), np.asarray(radiance, float)
+    normal = np.asarray(normal, float) / np.linalg.norm(normal)
+    if len(points) < 12 or points.shape != (len(radiance), 3):
+        raise InputError(
+            f"board: {len(points)} points of {len(radiance)} values; at least 12 of each wanted"
+        )
+    if not (np.isfinite(radiance).all() and (radiance > 0).all()):
+        raise InputError("board: a point is black; points without shadows were wanted")
+    middle = points.mean(0)
+    spread = np.linalg.svd(points - middle, full_matrices=False)
+    size = float(spread.S[0]) / np.sqrt(len(points))
+    if spread.S[1] < 0.05 * spread.S[0]:
+        raise InputError("board: its points lie in a line; points all over the board were wanted")
+    across = spread.Vh[:2] - np.outer(spread.Vh[:2] @ normal, normal)
+    local, log = (points - middle) / size, np.log(radiance)
+
+    def residual(p: Floats) -> Floats:
+        lamp = p[0] * across[0] + p[1] * across[1] + np.exp(p[2]) * normal
+        to_lamp = lamp - local
+        height = np.maximum(to_lamp @ normal, 1e-6)
+        shining = np.log(height) - 1.5 * np.log((to_lamp**2).sum(1))
+        return np.asarray(log - shining - np.median(log - shining))
+
+    fits = [
+        least_squares(residual, [x, y, z], loss="soft_l1", f_scale=0.05)
+        for x in (-2.0, 0.0, 2.0)
+        for y in (-2.0, 0.0, 2.0)
+        for z in (0.0, 1.5)
+    ]
+    best = min(fits, key=lambda fit: float(fit.cost))
+    if np.exp(best.x[2]) > 30 or float(np.abs(best.x[:2]).max()) > 30:
+        raise InputError(
+            "board: its light hardly changes; the lamp is too far away to be placed by it "
+            "(use a chrome ball for its direction)"
+        )
+    lamp = best.x[0] * across[0] + best.x[1] * across[1] + np.exp(best.x[2]) * normal
+    return lamp * size + middle, float(np.sqrt(np.mean(residual(best.x) ** 2)))
+
+
+def _nearest_points(point: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    """The point `[K, 3]` nearest to B rays `[K, B, 3]`, and its rms distance from them `[K]`."""
+    across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
+    right = (across @ point[..., None]).sum(1)
+    nearest = np.linalg.solve(across.sum(1), right)[..., 0]
+    off = (across @ (nearest[:, None] - point)[..., None])[..., 0]
+    return nearest, np.sqrt((off**2).sum(-1).mean(1))
+
+
+def write_lamps(
+    lamps: Lamps,
+    path: str | os.PathLike[str],
+    *,
+    balls: Sequence[Ball] = (),
+    made_from: Sequence[str | os.PathLike[str]] = (),
+) -> None:
+    """Write a lights file of `raden capture`."""
+    each = [
+        {
+            "photograph": name,
+            "direction_to_lamp": np.round(lamps.direction[k], 6),
+            "intensity": round(float(lamps.intensity[k]), 5),
+        }
+        | ({} if lamps.position is None else {f"position_{lamps.unit}": lamps.position[k]})
+        for k, name in enumerate(lamps.names or [str(k) for k in range(len(lamps))])
+    ]
+    found = [
+        {
+            "found_in": Path(ball.found_in).name,
+            "x_px": round(ball.x_px, 3),
+            "y_px": round(ball.y_px, 3),
+            "radius_px": round(ball.radius_px, 3),
+            "rms_px": round(ball.rms_px, 3),
+        }
+        for ball in balls
+    ]
+    content: dict[str, Any] = {
+        "frame": "x right, y up, z to the viewer; vectors point to the lamp and are no normals",
+        "unit": lamps.unit,
+        "response_exponent": round(lamps.exponent, 4),
+        **({} if lamps.matrix is None else {"camera_matrix_px": lamps.matrix}),
+        "lamps": each,
+        "balls": found,
+        "notes": list(lamps.notes),
+    }
+    write_result(path, KIND, content, made_from=made_from)
+
+
+def read_lamps(path: str | os.PathLike[str]) -> Lamps:
+    """Read a lights file of `raden capture`.
+
+    Raises:
+        InputError: missing, of another kind, or damaged.
+    """
+    found = read_result(path, KIND, ("lamps", "unit", "response_exponent"))
+    rows = found["lamps"]
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or not rows:
+        raise InputError(f"{path}: lamps is not what it should be; a list of lamps was wanted")
+    unit = str(found["unit"])
+    columns = {key: [row.get(key) for row in rows] for key in rows[0]}
+    for key in ("direction_to_lamp", "intensity"):
+        if key not in columns:
+            raise InputError(f"{path}: a lamp has no {key}; a whole lights file was wanted")
+    direction = numbers(path, columns, "direction_to_lamp", (-1, 3))
+    length = np.linalg.norm(direction, axis=1, keepdims=True)
+    intensity = numbers(path, columns, "intensity", (-1,))
+    if (length == 0).any() or (intensity <= 0).any():
+        raise InputError(f"{path}: a lamp has no direction or no light; positive ones were wanted")
+    key, matrix = f"position_{unit}", "camera_matrix_px"
+    return Lamps(
+        direction / length,
+        intensity,
+        numbers(path, columns, key, (-1, 3)) if key in columns else None,
+        unit=unit,
+        exponent=float(numbers(path, found, "response_exponent", ())),
+        matrix=numbers(path, found, matrix, (3, 3)) if matrix in found else None,
+        names=tuple(str(row.get("photograph", "")) for row in rows),
+    )

@@ -1,0 +1,144 @@
+"""Photographs by one camera that did not move, one a lamp, as a tensor; and a mask."""
+
+from __future__ import annotations
+
+import glob
+import os
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from raden_torch.capture.photo.photograph import Coding, check_same_size, read_linear
+from raden_torch.errors import InputError
+from raden_torch.images.pixels import read_pixels
+
+MAX_VALUES = 2**31
+"""The most values of a set that are read: 8 GiB."""
+
+_TOO_BRIGHT = 0.1
+_BLACK = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoSet:
+    """K photographs.
+
+    Attributes:
+        images: `[K, 3, H, W]` float32, linear light.
+        saturated: `[K, 1, H, W]` bool.
+        paths: the files, in the order of the lamps.
+    """
+
+    images: Tensor
+    saturated: Tensor
+    paths: tuple[Path, ...]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        height, width = self.images.shape[2:]
+        return height, width
+
+
+def read_set(
+    paths: Sequence[Path],
+    *,
+    coded: Coding = "auto",
+    progress: Callable[[float], None] | None = None,
+) -> PhotoSet:
+    """Read the photographs of a set; `coded` as for `read_linear`.
+
+    Raises:
+        InputError: as for `read_linear`, sizes that differ, or more than `MAX_VALUES` in all.
+    """
+    if not paths:
+        raise InputError("no photograph was given; one a lamp was wanted")
+    first = read_linear(paths[0], coded=coded)
+    height, width = first.size
+    if 3 * height * width * len(paths) > MAX_VALUES:
+        raise InputError(
+            f"{paths[0]}: {len(paths)} photographs of {width} x {height} pixels do not fit into "
+            "memory; give them cropped or smaller"
+        )
+    images = torch.empty(len(paths), 3, height, width)
+    saturated = torch.empty(len(paths), 1, height, width, dtype=torch.bool)
+    for k, path in enumerate(paths):
+        photo = first if k == 0 else read_linear(path, coded=coded)
+        check_same_size([first, photo])
+        images[k] = torch.from_numpy(photo.linear).movedim(-1, 0)
+        saturated[k, 0] = torch.from_numpy(photo.saturated)
+        if progress is not None:
+            progress((k + 1) / len(paths))
+    return PhotoSet(images, saturated, tuple(paths))
+
+
+def read_mask(path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> NDArray[Any]:
+    """`[H, W]` float32, 0…1: a grey picture, an alpha channel, or the brightest channel.
+
+    Raises:
+        InputError: not an image, empty, or of another size than the photographs.
+    """
+    pixels = read_pixels(path, colour=False)
+    if pixels.ndim == 3:
+        pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.max(axis=2)
+    top = 1.0 if pixels.dtype.kind == "f" else float(np.iinfo(pixels.dtype).max)
+    mask = np.clip(pixels.astype(np.float32) / top, 0, 1)
+    if size is not None and mask.shape != size:
+        (h, w), (height, width) = mask.shape, size
+        raise InputError(
+            f"{path}: {w} x {h} pixels, but the photographs have {width} x {height}; a mask of "
+            "their size was wanted"
+        )
+    if not (mask > 0.5).any():
+        raise InputError(f"{path}: the mask is empty; white where the object is was wanted")
+    return mask
+
+
+def numbered_files(pattern: str) -> list[Path]:
+    """The files of a pattern as "grey.*.png", by the numbers in their names (2 before 10)."""
+    found = [Path(name) for name in glob.glob(pattern)]
+    if not found:
+        raise InputError(f"{pattern}: no such file; a pattern in quotes was wanted")
+    return sorted(found, key=lambda p: [int(n) for n in re.findall(r"\d+", p.name)] or [0])
+
+
+def check_exposure(photos: PhotoSet, mask: Tensor) -> None:
+    """Raise InputError, naming the file, where photographs are over-exposed or black in the mask.
+
+    Args:
+        mask: `[1, 1, H, W]`.
+    """
+    inside = mask[0, 0] > 0.5
+    clipped = photos.saturated[:, 0, inside]
+    lost = float((clipped.sum(dim=0) > max(0, len(clipped) - 3)).float().mean())
+    if lost > _TOO_BRIGHT:
+        worst = int(clipped.float().mean(dim=1).argmax())
+        raise InputError(
+            f"{photos.paths[worst]}: over-exposed: {100 * clipped[worst].float().mean():.0f} % of "
+            f"the object is saturated in it, and {100 * lost:.0f} % of the object in all but two "
+            "photographs; expose shorter"
+        )
+    # a tenth of the object in light is enough to tell that the lamp was on
+    brightness = photos.images[:, :, inside].mean(dim=1)
+    level = brightness.kthvalue(max(1, int(0.9 * brightness.shape[1])), dim=1).values
+    darkest = int(level.argmin())
+    if float(level[darkest]) <= _BLACK * float(level.median()):
+        raise InputError(
+            f"{photos.paths[darkest]}: the object is black in it; was the lamp on? Leave out this "
+            "photograph and its lamp, or take it again"
+        )
+
+
+def lamp_numbers(names: Sequence[str]) -> list[int] | None:
+    """The last number in each name, or None where one has none or two have the same."""
+    found = [re.findall(r"\d+", Path(name).stem) for name in names]
+    if not all(found):
+        return None
+    last = [int(n[-1]) for n in found]
+    return last if len(set(last)) == len(last) else None

@@ -1,0 +1,240 @@
+"""Chrome balls → lamps: circles, highlights, reflections and near positions against known truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
+from raden_torch.capture.photo.highlight import find_highlight
+from raden_torch.capture.photo.lamps import (
+    lamp_from_board,
+    lamps_from_balls,
+    read_lamps,
+    write_lamps,
+)
+from raden_torch.errors import InputError
+
+SIZE = (240, 320)
+MATRIX = np.array([[400.0, 0, 159.5], [0, 400.0, 119.5], [0, 0, 1]])
+
+
+def disc(x: float, y: float, r: float) -> np.ndarray:
+    """A mask with an anti-aliased edge, as a person would paint it."""
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    return (np.clip(r - np.hypot(u - x, v - y) + 0.5, 0, 1) * 255).astype(np.uint8)
+
+
+def silhouette(centre: np.ndarray, radius: float) -> np.ndarray:
+    """What a pinhole camera sees of a sphere, from the rays that hit it."""
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+    rays = np.stack([u, v, np.ones_like(u)], -1) @ np.linalg.inv(MATRIX).T * [1, -1, -1]
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    along = rays @ centre
+    return ((along**2 - centre @ centre + radius**2) > 0).astype(np.uint8) * 255
+
+
+def chrome(ball: Ball, lamps: np.ndarray, *, near: bool, size_deg: float = 1.5) -> np.ndarray:
+    """A clipped photograph of a mirror ball under a lamp, made from the law of reflection."""
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    point, direction = ball.towards_lamp(u, v)
+    to_lamp = lamps - point if near else np.broadcast_to(lamps, point.shape)
+    to_lamp = to_lamp / np.linalg.norm(to_lamp, axis=-1, keepdims=True)
+    off = np.rad2deg(np.arccos(np.clip((direction * to_lamp).sum(-1), -1, 1)))
+    glow = np.clip(3 * np.exp(-((off / size_deg) ** 2)), 0, 1)
+    return np.nan_to_num(0.02 + glow)[..., None].repeat(3, -1)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(90, 230), st.floats(90, 150), st.floats(20, 80))
+def test_a_mask_gives_the_circle_to_a_tenth_of_a_pixel(x: float, y: float, r: float) -> None:
+    ball = ball_from_mask(disc(x, y, r))
+    assert np.hypot(ball.x_px - x, ball.y_px - y) < 0.1
+    assert abs(ball.radius_px - r) < 0.15
+    assert ball.rms_px < 0.5
+
+
+def test_a_ball_that_the_frame_cuts() -> None:
+    ball = ball_from_mask(disc(30, 120, 60))
+    assert (ball.x_px, ball.y_px, ball.radius_px) == pytest.approx((30, 120, 60), abs=0.3)
+
+
+def test_a_ball_is_found_in_a_photograph() -> None:
+    rng = np.random.default_rng(0)
+    grey = 0.1 + 0.5 * disc(150.3, 121.7, 70.4) / 255.0
+    photo = np.clip(cv2.GaussianBlur(grey, (0, 0), 1.0) + rng.normal(0, 0.01, SIZE), 0, 1)
+    ball = find_ball([photo[..., None].repeat(3, -1)])
+    assert (ball.x_px, ball.y_px, ball.radius_px) == pytest.approx((150.3, 121.7, 70.4), abs=0.4)
+    with pytest.raises(InputError, match="no ball found"):
+        find_ball([rng.normal(0.5, 0.01, (*SIZE, 3)).clip(0, 1)])
+
+
+def test_a_camera_places_the_ball() -> None:
+    centre = np.array([2.0, -1.0, -14.0])
+    ball = ball_from_mask(silhouette(centre, 2.5), matrix=MATRIX, radius=2.5)
+    assert ball.centre == pytest.approx(centre, abs=0.08)
+    point, normal, view = ball.surface(ball.x_px, ball.y_px)
+    assert np.linalg.norm(point - ball.centre) == pytest.approx(2.5)
+    assert (normal * view).sum() > 0.99
+    assert np.isnan(ball.surface(0, 0)[1]).all()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0, 2 * np.pi), st.floats(0, 65))
+def test_the_direction_to_a_far_lamp(turn: float, from_axis_deg: float) -> None:
+    """Rationale: L = 2 (N·V) N − V at the highlight. Expected: within half a degree."""
+    theta = np.deg2rad(from_axis_deg)
+    lamp = np.array([np.sin(theta) * np.cos(turn), np.sin(theta) * np.sin(turn), np.cos(theta)])
+    ball = ball_from_mask(disc(160, 120, 80))
+    photo = chrome(ball, lamp, near=False)
+    lamps = lamps_from_balls([ball], [[find_highlight(photo, ball)]])
+    assert np.rad2deg(np.arccos(min(1.0, lamps.direction[0] @ lamp))) < 0.5
+
+
+@pytest.mark.parametrize("perspective", [False, True])
+def test_two_balls_place_a_near_lamp(perspective: bool) -> None:
+    if perspective:
+        centres = [np.array([-4.0, 0.5, -15.0]), np.array([4.0, -0.5, -16.0])]
+        balls = [ball_from_mask(silhouette(c, 2.5), matrix=MATRIX, radius=2.5) for c in centres]
+        true = np.array([[3.0, 8.0, -5.0], [-9.0, 4.0, -6.0]])
+    else:
+        balls = [ball_from_mask(disc(80, 120, 60)), ball_from_mask(disc(240, 120, 60))]
+        true = np.array([[200.0, 60.0, 500.0], [60.0, -300.0, 600.0]])
+    rows = [
+        [find_highlight(chrome(b, lamp, near=True), b, name=f"{k}.png") for b in balls]
+        for k, lamp in enumerate(true)
+    ]
+    lamps = lamps_from_balls(balls, rows)
+    assert lamps.position is not None
+    distance = np.linalg.norm(true - np.mean([b.centre for b in balls], axis=0), axis=1)
+    assert (np.linalg.norm(lamps.position - true, axis=1) < 0.06 * distance).all()
+    assert (lamps.miss < 0.02 * distance).all()
+
+
+def test_far_lamps_have_no_position() -> None:
+    balls = [ball_from_mask(disc(80, 120, 60)), ball_from_mask(disc(240, 120, 60))]
+    lamp = np.array([0.3, 0.4, np.sqrt(0.75)])
+    lamps = lamps_from_balls(
+        balls, [[find_highlight(chrome(b, lamp, near=False), b) for b in balls]]
+    )
+    assert lamps.position is None
+    assert "too far away" in lamps.notes[0]
+
+
+def test_irradiance_falls_with_the_square_of_the_distance() -> None:
+    ball = ball_from_mask(disc(160, 120, 80))
+    lamps = lamps_from_balls([ball], [[find_highlight(chrome(ball, [0, 0, 1], near=False), ball)]])
+    points = np.array([[0.0, 300.0], [0.0, 0.0], [0.0, 0.0]])
+    assert np.linalg.norm(lamps.towards(points), axis=1) == pytest.approx(np.ones((1, 2)))
+    from dataclasses import replace
+
+    near = replace(lamps, position=np.array([[0.0, 0.0, 400.0]]))
+    to_lamp = near.towards(points)
+    length = np.linalg.norm(to_lamp, axis=1)[0]
+    assert length[0] / length[1] == pytest.approx((500 / 400) ** 2)
+    assert to_lamp[0, :, 1] / length[1] == pytest.approx([-0.6, 0, 0.8])
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_board_places_a_near_lamp(noise: float) -> None:
+    rng = np.random.default_rng(1)
+    x, y = np.meshgrid(np.linspace(-0.1, 0.1, 20), np.linspace(-0.14, 0.14, 24))
+    turn = cv2.Rodrigues(np.array([0.3, -0.2, 0.1]))[0]
+    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1) @ turn.T + [0, 0, -0.6]
+    normal, lamp = turn[:, 2], np.array([0.12, 0.1, -0.3])
+    to_lamp = lamp - points
+    radiance = 0.02 * (to_lamp @ normal) / np.linalg.norm(to_lamp, axis=1) ** 3
+    radiance *= 1 + noise * rng.normal(size=len(points))
+    found, rms = lamp_from_board(points, normal, radiance)
+    assert np.linalg.norm(found - lamp) < (1e-4 if noise == 0 else 0.01)
+    assert rms == pytest.approx(noise, abs=2e-3)
+    with pytest.raises(InputError, match="too far away"):
+        lamp_from_board(points, normal, np.ones(len(points)))
+    with pytest.raises(InputError, match="black"):
+        lamp_from_board(points, normal, radiance * 0)
+    with pytest.raises(InputError, match="in a line"):
+        lamp_from_board(points[:20], normal, radiance[:20])
+
+
+def test_lights_come_back_from_their_file(tmp_path: Path) -> None:
+    balls = [ball_from_mask(disc(80, 120, 60)), ball_from_mask(disc(240, 120, 60))]
+    true = np.array([[200.0, 60.0, 500.0], [60.0, -300.0, 600.0]])
+    rows = [
+        [find_highlight(chrome(b, lamp, near=True), b, name=f"{k}.png") for b in balls]
+        for k, lamp in enumerate(true)
+    ]
+    lamps = lamps_from_balls(balls, rows)
+    write_lamps(lamps, tmp_path / "lights.json", balls=balls, made_from=["0.png"])
+    again = read_lamps(tmp_path / "lights.json")
+    assert again.direction == pytest.approx(lamps.direction, abs=1e-6)
+    assert again.position == pytest.approx(lamps.position)
+    assert again.names == ("0.png", "1.png")
+    text = (tmp_path / "lights.json").read_text("utf-8")
+    assert "are no normals" in text
+    (tmp_path / "lights.json").write_text(text.replace('"intensity": 1.0', '"intensity": -1.0'))
+    with pytest.raises(InputError, match="no light"):
+        read_lamps(tmp_path / "lights.json")
+    (tmp_path / "lights.json").write_text(text.replace('"direction_to_lamp"', '"way"'))
+    with pytest.raises(InputError, match="direction_to_lamp"):
+        read_lamps(tmp_path / "lights.json")
+
+
+def stand(mask: np.ndarray) -> np.ndarray:
+    mask[150:230, 130:190] = 255
+    return mask
+
+
+BAD_MASKS = {
+    "empty": (np.zeros(SIZE, np.uint8), "empty"),
+    "with its stand": (stand(disc(160, 90, 70)), "not round"),
+    "two balls": (np.maximum(disc(70, 120, 50), disc(220, 120, 55)), "more than one area"),
+    "a hollow ring": (disc(160, 120, 80) - disc(160, 120, 74), "not filled"),
+    "tiny": (disc(160, 120, 5), "too small|no outline"),
+    "all white": (np.full(SIZE, 255, np.uint8), "no outline"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_MASKS)
+def test_a_mask_that_is_no_ball(name: str) -> None:
+    mask, message = BAD_MASKS[name]
+    with pytest.raises(InputError, match=message) as raised:
+        ball_from_mask(mask, name="ball.png")
+    assert "ball.png" in str(raised.value)
+
+
+def test_photographs_without_one_highlight() -> None:
+    ball = ball_from_mask(disc(160, 120, 80))
+    lamp = np.array([0.3, 0.2, np.sqrt(0.87)])
+    one = chrome(ball, lamp, near=False)
+    other = chrome(ball, lamp * [-1, 1, 1], near=False)
+    for photo, message in (
+        (np.full((*SIZE, 3), 0.3), "no highlight"),
+        (np.ones((*SIZE, 3)), "no highlight"),
+        (np.zeros((*SIZE, 3)), "no highlight"),
+        (np.maximum(one, other), "two highlights"),
+        (chrome(ball, lamp, near=False, size_deg=25), "covers"),
+    ):
+        with pytest.raises(InputError, match=message) as raised:
+            find_highlight(photo, ball, name="chrome.3.png")
+        assert "chrome.3.png" in str(raised.value)
+
+
+def test_the_real_chrome_ball(shared: Path) -> None:
+    folder = shared / "data/photometric_stereo"
+    ball = ball_from_mask(cv2.imread(str(folder / "chrome.mask.png"), cv2.IMREAD_GRAYSCALE))
+    rows = [
+        [find_highlight(cv2.imread(str(folder / f"chrome.{k}.png")) / 255, ball)] for k in range(12)
+    ]
+    lamps = lamps_from_balls([ball], rows)
+    assert ball.rms_px < 0.5
+    assert (lamps.direction[:, 2] > 0.7).all()  # all in front
+    assert (lamps.direction[:, 1] > 0).all()  # all above
+    grey = ball_from_mask(cv2.imread(str(folder / "gray.mask.png"), cv2.IMREAD_GRAYSCALE))
+    seen = find_ball([cv2.imread(str(folder / f"gray.{k}.png")) / 255 for k in range(12)])
+    assert np.hypot(seen.x_px - grey.x_px, seen.y_px - grey.y_px) < 1.5
+    assert abs(seen.radius_px - grey.radius_px) < 1
