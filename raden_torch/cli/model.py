@@ -137,6 +137,10 @@ def export(
         str, typer.Option("--quantity", help="radiance, or brdf (f_r in 1/sr, gbuffer only)")
     ] = "radiance",
     opset: Annotated[int, typer.Option(help="of the ONNX operators")] = 18,
+    fixed: Annotated[
+        bool,
+        typer.Option("--fixed", help="parameters as constants: faster, for this shell alone"),
+    ] = False,
 ) -> None:
     """Write a model as an ONNX shader for other programs, checked in ONNX Runtime."""
     from raden_torch.brdf.model_file import load_model
@@ -144,7 +148,12 @@ def export(
 
     with working("exporting"):
         report = export_onnx(
-            load_model(model), output, profile=profile, output=quantity, opset=opset
+            load_model(model),
+            output,
+            profile=profile,
+            output=quantity,
+            opset=opset,
+            fixed=fixed,
         )
     print(f"{report}\nwrote {output}")
 

@@ -15,6 +15,7 @@ from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.export import onnx_file
 from raden_torch.export.check import ExportReport, RuntimeResult, StressSet
+from raden_torch.export.constants import fix_parameters, is_fixed
 from raden_torch.export.profiles import check_profile, ports
 from raden_torch.export.runtimes import load_onnxruntime, load_others, needed, one_line
 from raden_torch.files import check_writable, written_beside
@@ -33,6 +34,7 @@ def export_onnx(
     profile: str = "gbuffer",
     output: str = "radiance",
     opset: int = onnx_file.OPSET,
+    fixed: bool = False,
 ) -> ExportReport:
     """Write a model as an ONNX shader, once ONNX Runtime has given torch's picture with it.
 
@@ -43,6 +45,8 @@ def export_onnx(
             any number of lights. See docs/export.md.
         output: "radiance" (scene-linear RGB) or "brdf" (f_r in 1/sr; gbuffer only).
         opset: of the ONNX operators; the oldest, 18, runs in most programs.
+        fixed: the model's parameters are constants. Runtimes then pack the table once, not at every
+            call, which pays in small pictures and tiles; no other shell can be shown by the file.
 
     Returns:
         How far ONNX Runtime is from torch, by region; also stored in the file.
@@ -60,7 +64,9 @@ def export_onnx(
     for package in ("onnx", "onnxscript", "onnxruntime"):
         needed(package, "export_onnx")
     graph = _graph(own, profile, output, opset)
-    stress = StressSet(own, profile, output)
+    if fixed:
+        fix_parameters(graph)
+    stress = StressSet(own, profile, output, fixed=fixed)
     report = _report(graph, stress, [_in_onnxruntime(stress, graph.SerializeToString())])
     if report.failures:
         raise InputError(f"{target}: not written: {report.failures[0]}")
@@ -136,7 +142,8 @@ def _verified(data: bytes) -> ExportReport:
             "export it again"
         )
     profile, output = texts.get("profile", ""), texts.get("output", "")
-    stress = StressSet(onnx_file.model_of(graph), profile, output)
+    model = onnx_file.model_of(graph)
+    stress = StressSet(model, profile, output, fixed=is_fixed(graph))
     runtimes = [_in_onnxruntime(stress, data), *(stress.run(r) for r in load_others(data))]
     return _report(graph, stress, runtimes)
 

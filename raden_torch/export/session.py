@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.errors import InputError
-from raden_torch.export.runtimes import Arrays, one_line, onnx_session
+from raden_torch.export.constants import fix_parameters
+from raden_torch.export.runtimes import Arrays, needed, one_line, onnx_session
 
 TILE = 16_384
 """Pixels a call: their intermediate maps stay in the processor's caches."""
@@ -26,7 +27,8 @@ class ShaderSession:
     """A shader in ONNX Runtime that computes only pixels whose mask is above 0.
 
     The pixels of each image are gathered into tiles, which threads take in turn. A thread has its
-    own buffers, used for all of its tiles: ONNX Runtime reads and writes them in place.
+    own buffers, used for all of its tiles: ONNX Runtime reads and writes them in place. The model's
+    parameters are constants here: `run` takes the maps, the mask, the light and the exposure.
 
     Args:
         file: what `export_onnx` wrote: its path, or its bytes.
@@ -44,7 +46,7 @@ class ShaderSession:
         if tile < 1:
             raise InputError(f"ShaderSession: tile {tile}; at least 1 pixel was wanted")
         data = file if isinstance(file, bytes) else _read(Path(file))
-        self._session = onnx_session(data, threads=1)
+        self._session = onnx_session(_fixed(data), threads=1)
         required = self._session.get_inputs()
         optional = self._session.get_overridable_initializers()
         self._shapes = {i.name: tuple(i.shape) for i in (*required, *optional)}
@@ -175,6 +177,16 @@ def _fits(value: Floats, wanted: tuple[int | str, ...], normal: tuple[int, ...])
         if not fits:
             return False
     return True
+
+
+def _fixed(data: bytes) -> bytes:
+    """The file with the model's parameters as constants, which a tile must not pack again."""
+    onnx = needed("onnx", "ShaderSession")
+    try:
+        graph = onnx.load_from_string(data)
+    except Exception as error:  # protobuf's errors share no base class but this one
+        raise InputError(f"ShaderSession: cannot load it: {one_line(error)}") from None
+    return fix_parameters(graph).SerializeToString()
 
 
 def _read(path: Path) -> bytes:
