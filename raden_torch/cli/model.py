@@ -161,12 +161,19 @@ def export(
 @app.command(epilog="Example: raden verify shell.onnx")
 def verify(
     file: Annotated[Path, typer.Argument(help="a file that `raden export` wrote")],
+    node_modules: Annotated[
+        Path, typer.Option(help="with onnxruntime-node; onnxruntime-web and playwright-core")
+    ] = Path("node_modules"),
+    python: Annotated[
+        list[Path] | None,
+        typer.Option(help="of another environment with onnxruntime; may be repeated"),
+    ] = None,
 ) -> None:
     """Check an exported shader in every runtime on this machine."""
     from raden_torch.export.export import verify_onnx
 
     with working(f"verifying {file.name}"):
-        report = verify_onnx(file)
+        report = verify_onnx(file, node_modules=node_modules, pythons=python or ())
     print(report)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -82,10 +83,20 @@ def export_onnx(
     return replace(report, bytes=len(data))
 
 
-def verify_onnx(path: str | os.PathLike[str]) -> ExportReport:
+def verify_onnx(
+    path: str | os.PathLike[str],
+    *,
+    node_modules: Path | None = None,
+    pythons: Sequence[Path] = (),
+) -> ExportReport:
     """Check a file that `export_onnx` wrote in every runtime on this machine.
 
     The model is rebuilt from the file alone; torch's picture of it is compared with each runtime's.
+
+    Args:
+        node_modules: a folder with onnxruntime-node, or onnxruntime-web and playwright-core, to run
+            it in Node.js and in Chromium, too.
+        pythons: the programs of other Python environments, to run it in their onnxruntime.
 
     Raises:
         InputError: not an ONNX file of ours, damaged, or a runtime gives another picture.
@@ -96,7 +107,7 @@ def verify_onnx(path: str | os.PathLike[str]) -> ExportReport:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; an exported .onnx file was wanted") from None
     try:
-        report = _verified(data)
+        report = _verified(data, node_modules, pythons)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if report.failures:
@@ -130,7 +141,7 @@ def _report(
     )
 
 
-def _verified(data: bytes) -> ExportReport:
+def _verified(data: bytes, node_modules: Path | None, pythons: Sequence[Path]) -> ExportReport:
     graph = _read(data)
     texts = onnx_file.metadata(graph)
     if texts.get("format") != onnx_file.FORMAT:
@@ -144,7 +155,8 @@ def _verified(data: bytes) -> ExportReport:
     profile, output = texts.get("profile", ""), texts.get("output", "")
     model = onnx_file.model_of(graph)
     stress = StressSet(model, profile, output, fixed=is_fixed(graph))
-    runtimes = [_in_onnxruntime(stress, data), *(stress.run(r) for r in load_others(data))]
+    others = load_others(data, node_modules=node_modules, pythons=pythons)
+    runtimes = [_in_onnxruntime(stress, data), *(stress.run(r) for r in others)]
     return _report(graph, stress, runtimes)
 
 
