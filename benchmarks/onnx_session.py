@@ -29,7 +29,9 @@ from raden_torch.export.runtimes import Arrays, Runtime, load_others, onnx_sessi
 from raden_torch.export.session import ShaderSession
 
 RUNS, WARM_UP, SIZE, SHARE = 9, 2, 1024, 0.1
-MODULES = Path(__file__).resolve().parents[1] / "runtimes/node_modules"
+INSTALLED = Path(__file__).resolve().parents[1] / "runtimes"
+MODULES = INSTALLED / "node_modules"
+PYTHONS = [INSTALLED / "onnxruntime-1.18/bin/python"]
 
 
 def coherent(size: int) -> Arrays:
@@ -114,7 +116,7 @@ def others(files: dict[str, bytes], size: int) -> list[dict[str, Any]]:
     maps, found = coherent(size), []
     for form, data in files.items():
         ours = onnx_session(data)
-        for runtime in load_others(data, node_modules=MODULES):
+        for runtime in load_others(data, node_modules=MODULES, pythons=PYTHONS):
             if not isinstance(runtime, Runtime):
                 found.append({"what": f"{runtime.name}, {form}", "skipped": runtime.reason})
                 continue
