@@ -3,13 +3,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench runtimes clean
 .DEFAULT_GOAL := test
 
 demo: $(VENV)/made
 	$(BIN)/raden demo --out demo
 
-test: lint
+test: lint runtimes
 	$(BIN)/pytest
 
 lint: $(VENV)/made
@@ -25,8 +25,14 @@ bench: $(VENV)/made
 	$(BIN)/python benchmarks/kernel.py
 	$(BIN)/python benchmarks/normals.py
 
+# other programs that run exported shaders; tests of what cannot be had here skip
+runtimes: runtimes/made
+
+runtimes/made: runtimes/package.json runtimes/install.sh
+	runtimes/install.sh
+
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo runtimes/made runtimes/node_modules runtimes/onnxruntime-*
 
 # torch first and alone: a resolver that sees it late may choose another build
 $(VENV)/made: pyproject.toml constraints-dev.txt $(wildcard kernel/*)

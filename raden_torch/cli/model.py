@@ -137,6 +137,10 @@ def export(
         str, typer.Option("--quantity", help="radiance, or brdf (f_r in 1/sr, gbuffer only)")
     ] = "radiance",
     opset: Annotated[int, typer.Option(help="of the ONNX operators")] = 18,
+    fixed: Annotated[
+        bool,
+        typer.Option("--fixed", help="parameters as constants: faster, for this shell alone"),
+    ] = False,
 ) -> None:
     """Write a model as an ONNX shader for other programs, checked in ONNX Runtime."""
     from raden_torch.brdf.model_file import load_model
@@ -144,7 +148,12 @@ def export(
 
     with working("exporting"):
         report = export_onnx(
-            load_model(model), output, profile=profile, output=quantity, opset=opset
+            load_model(model),
+            output,
+            profile=profile,
+            output=quantity,
+            opset=opset,
+            fixed=fixed,
         )
     print(f"{report}\nwrote {output}")
 
@@ -152,12 +161,19 @@ def export(
 @app.command(epilog="Example: raden verify shell.onnx")
 def verify(
     file: Annotated[Path, typer.Argument(help="a file that `raden export` wrote")],
+    node_modules: Annotated[
+        Path, typer.Option(help="with onnxruntime-node; onnxruntime-web and playwright-core")
+    ] = Path("node_modules"),
+    python: Annotated[
+        list[Path] | None,
+        typer.Option(help="of another environment with onnxruntime; may be repeated"),
+    ] = None,
 ) -> None:
     """Check an exported shader in every runtime on this machine."""
     from raden_torch.export.export import verify_onnx
 
     with working(f"verifying {file.name}"):
-        report = verify_onnx(file)
+        report = verify_onnx(file, node_modules=node_modules, pythons=python or ())
     print(report)
 
 

@@ -105,8 +105,8 @@ class ExportReport:
 class StressSet:
     """The inputs of a profile and torch's pictures of them."""
 
-    def __init__(self, model: RadenBrdf, profile: str, output: str) -> None:
-        self.cases = cases(model, profile, output)
+    def __init__(self, model: RadenBrdf, profile: str, output: str, *, fixed: bool = False) -> None:
+        self.cases = cases(model, profile, output, fixed=fixed)
         self.expected = [expected(model, profile, output, case.inputs) for case in self.cases]
         largest = [float(e.values.abs().max()) for e in self.expected if e.values.numel()]
         self.peak = max([*largest, torch.finfo(torch.float32).tiny])

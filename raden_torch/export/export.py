@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,6 +16,7 @@ from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.export import onnx_file
 from raden_torch.export.check import ExportReport, RuntimeResult, StressSet
+from raden_torch.export.constants import fix_parameters, is_fixed
 from raden_torch.export.profiles import check_profile, ports
 from raden_torch.export.runtimes import load_onnxruntime, load_others, needed, one_line
 from raden_torch.files import check_writable, written_beside
@@ -33,6 +35,7 @@ def export_onnx(
     profile: str = "gbuffer",
     output: str = "radiance",
     opset: int = onnx_file.OPSET,
+    fixed: bool = False,
 ) -> ExportReport:
     """Write a model as an ONNX shader, once ONNX Runtime has given torch's picture with it.
 
@@ -43,6 +46,8 @@ def export_onnx(
             any number of lights. See docs/export.md.
         output: "radiance" (scene-linear RGB) or "brdf" (f_r in 1/sr; gbuffer only).
         opset: of the ONNX operators; the oldest, 18, runs in most programs.
+        fixed: the model's parameters are constants. Runtimes then pack the table once, not at every
+            call, which pays in small pictures and tiles; no other shell can be shown by the file.
 
     Returns:
         How far ONNX Runtime is from torch, by region; also stored in the file.
@@ -60,7 +65,9 @@ def export_onnx(
     for package in ("onnx", "onnxscript", "onnxruntime"):
         needed(package, "export_onnx")
     graph = _graph(own, profile, output, opset)
-    stress = StressSet(own, profile, output)
+    if fixed:
+        fix_parameters(graph)
+    stress = StressSet(own, profile, output, fixed=fixed)
     report = _report(graph, stress, [_in_onnxruntime(stress, graph.SerializeToString())])
     if report.failures:
         raise InputError(f"{target}: not written: {report.failures[0]}")
@@ -76,10 +83,20 @@ def export_onnx(
     return replace(report, bytes=len(data))
 
 
-def verify_onnx(path: str | os.PathLike[str]) -> ExportReport:
+def verify_onnx(
+    path: str | os.PathLike[str],
+    *,
+    node_modules: Path | None = None,
+    pythons: Sequence[Path] = (),
+) -> ExportReport:
     """Check a file that `export_onnx` wrote in every runtime on this machine.
 
     The model is rebuilt from the file alone; torch's picture of it is compared with each runtime's.
+
+    Args:
+        node_modules: a folder with onnxruntime-node, or onnxruntime-web and playwright-core, to run
+            it in Node.js and in Chromium, too.
+        pythons: the programs of other Python environments, to run it in their onnxruntime.
 
     Raises:
         InputError: not an ONNX file of ours, damaged, or a runtime gives another picture.
@@ -90,7 +107,7 @@ def verify_onnx(path: str | os.PathLike[str]) -> ExportReport:
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; an exported .onnx file was wanted") from None
     try:
-        report = _verified(data)
+        report = _verified(data, node_modules, pythons)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     if report.failures:
@@ -124,7 +141,7 @@ def _report(
     )
 
 
-def _verified(data: bytes) -> ExportReport:
+def _verified(data: bytes, node_modules: Path | None, pythons: Sequence[Path]) -> ExportReport:
     graph = _read(data)
     texts = onnx_file.metadata(graph)
     if texts.get("format") != onnx_file.FORMAT:
@@ -136,8 +153,10 @@ def _verified(data: bytes) -> ExportReport:
             "export it again"
         )
     profile, output = texts.get("profile", ""), texts.get("output", "")
-    stress = StressSet(onnx_file.model_of(graph), profile, output)
-    runtimes = [_in_onnxruntime(stress, data), *(stress.run(r) for r in load_others(data))]
+    model = onnx_file.model_of(graph)
+    stress = StressSet(model, profile, output, fixed=is_fixed(graph))
+    others = load_others(data, node_modules=node_modules, pythons=pythons)
+    runtimes = [_in_onnxruntime(stress, data), *(stress.run(r) for r in others)]
     return _report(graph, stress, runtimes)
 
 

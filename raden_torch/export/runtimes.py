@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Callable, Iterator
+import shutil
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -14,9 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
+from raden_torch.export.workers.worker import PROGRAMS, Worker, WorkerError
 
 Arrays = dict[str, NDArray[np.float32]]
 Run = Callable[[Arrays], NDArray[np.float32]]
+Timed = Callable[[Arrays, int], tuple[NDArray[np.float32], list[float]]]
 
 
 @dataclass(frozen=True)
@@ -27,12 +31,14 @@ class Runtime:
         name, version: of the program.
         run: named inputs → the one output; raises what the program raises.
         takes_all: it takes empty pictures and values for optional inputs, and must run every case.
+        timed: the same, and the milliseconds of each of several runs; where None, `run` is timed.
     """
 
     name: str
     version: str
     run: Run
     takes_all: bool = True
+    timed: Timed | None = None
 
 
 @dataclass(frozen=True)
@@ -80,8 +86,24 @@ def load_onnxruntime(data: bytes) -> Runtime:
     return Runtime("onnxruntime", version, lambda inputs: session.run(None, inputs)[0])
 
 
-def load_others(data: bytes) -> Iterator[Runtime | Skipped]:
-    """Every other runtime that we know how to call."""
+def load_others(
+    data: bytes, *, node_modules: Path | None = None, pythons: Sequence[Path] = ()
+) -> Iterator[Runtime | Skipped]:
+    """Every other runtime that we know how to call; each is closed when the next is asked for.
+
+    Args:
+        node_modules: with onnxruntime-node, onnxruntime-web and playwright-core.
+        pythons: the programs of other environments that have onnxruntime.
+    """
+    yield from _in_this_process(data)
+    for python in pythons:
+        name = f"onnxruntime ({python.parent.parent.name})"
+        command = [str(python), str(PROGRAMS / "other_python.py")]
+        yield from _worker(name, command, data, takes_all=True)
+    yield from _in_javascript(data, node_modules)
+
+
+def _in_this_process(data: bytes) -> Iterator[Runtime | Skipped]:
     for name, module, load in (
         ("OpenVINO", "openvino", _openvino),
         ("OpenCV dnn", "cv2", _opencv),
@@ -98,6 +120,45 @@ def load_others(data: bytes) -> Iterator[Runtime | Skipped]:
             yield Skipped(name, f"cannot load it: {one_line(error)}")
             continue
         yield runtime
+
+
+def _in_javascript(data: bytes, node_modules: Path | None) -> Iterator[Runtime | Skipped]:
+    # onnxruntime-web refuses values for optional inputs; onnxruntime-node ignores them
+    names, node = ("onnxruntime-node", "onnxruntime-web"), shutil.which("node")
+    browser = shutil.which("chromium") or shutil.which("google-chrome")
+    for name, packages in zip(names, ((), ("playwright-core",)), strict=True):
+        missing = [
+            package
+            for package in (name, *packages)
+            if node_modules is None or not (node_modules / package).is_dir()
+        ]
+        if node is None:
+            yield Skipped(name, "Node.js is not installed")
+        elif missing:
+            yield Skipped(name, f"not installed; npm install {' '.join(missing)}")
+        elif packages and browser is None:
+            yield Skipped(name, "Chromium is not installed")
+        elif not packages:
+            command = [node, str(PROGRAMS / "node.cjs"), str(node_modules)]
+            yield from _worker(name, command, data)
+        else:
+            command = [node, str(PROGRAMS / "browser.mjs"), str(node_modules), str(browser), "2"]
+            yield from _worker(name, command, data)
+
+
+def _worker(
+    name: str, command: list[str], data: bytes, takes_all: bool = False
+) -> Iterator[Runtime | Skipped]:
+    try:
+        worker = Worker(command, data)
+    except WorkerError as error:
+        yield Skipped(name, f"cannot load it: {one_line(error)}")
+        return
+    version = f"{worker.version} ({worker.note})" if worker.note else worker.version
+    try:
+        yield Runtime(name, version, worker.run, takes_all, worker.timed)
+    finally:
+        worker.close()
 
 
 def _openvino(ov: ModuleType, data: bytes) -> Runtime:

@@ -7,10 +7,9 @@ import copy
 import torch
 from torch import Tensor, nn
 
-from raden_torch.brdf.lights import inverse_square
 from raden_torch.brdf.model import RadenBrdf
+from raden_torch.export.planes import PlanarBrdf, unit, xyz
 from raden_torch.export.profiles import GAINS, Port
-from raden_torch.geometry import dot, normalised
 
 
 class Shader(nn.Module):
@@ -40,14 +39,14 @@ class GBufferShading(nn.Module):
 
     def __init__(self, model: RadenBrdf, output: str) -> None:
         super().__init__()
-        self.model = model
+        self.model = PlanarBrdf(model)
         self.output = output
 
     def forward(self, given: dict[str, Tensor]) -> Tensor:
-        n, l, v = (normalised(given[name]) for name in ("normal", "light", "view"))  # noqa: E741
-        f = self.model.of_unit_vectors(n, l, v)
+        n, l, v = (unit(given[name]) for name in ("normal", "light", "view"))  # noqa: E741
+        f, n_l = self.model(n, l, v)
         if self.output == "radiance":
-            f = f * (given["irradiance"] * dot(n, l).clamp(min=0)) * given["exposure"]
+            f = f * n_l * (given["irradiance"] * given["exposure"])
         return _masked(f, given["mask"])
 
 
@@ -59,27 +58,31 @@ class SceneShading(nn.Module):
 
     def __init__(self, model: RadenBrdf) -> None:
         super().__init__()
-        self.model = model
+        self.model = PlanarBrdf(model)
 
     def forward(self, given: dict[str, Tensor]) -> Tensor:
         position = given["position"].unsqueeze(1)
         camera = given["camera"][:, None, :, None, None]
-        n = normalised(given["normal"].unsqueeze(1))
-        v = normalised(camera - position)
+        n, v = unit(given["normal"].unsqueeze(1)), unit(camera - position)
         placed, colour = (given[name][None, :, :, None, None] for name in ("light", "light_colour"))
-        near = placed[:, :, 3:] > 0
-        to_light = torch.where(near, placed[:, :, :3] - position, placed[:, :, :3])
-        fall_off = torch.where(near, inverse_square(to_light), 1.0)
-        direction = normalised(to_light)
-        facing = colour * fall_off * dot(n, direction).clamp(min=0)
-        image = (self.model.of_unit_vectors(n, direction, v) * facing).sum(1)
-        return _masked(image * given["exposure"], given["mask"])
+        near = (placed[:, :, 3:] > 0).float()
+        to_light = placed[:, :, :3] - near * position
+        x, y, z = xyz(to_light)
+        distance_squared = near * (x * x + y * y + z * z) + (1 - near)
+        f, n_l = self.model(n, unit(to_light), v)
+        image = f * (n_l / distance_squared) * colour
+        return _masked(_finite(image).sum(1) * given["exposure"], given["mask"])
 
 
 def _masked(image: Tensor, mask: Tensor) -> Tensor:
     """Times the mask, 0 where either is not finite."""
     inside = torch.where(torch.isnan(mask), torch.zeros_like(mask), mask).clamp(0, 1)
-    return torch.where(torch.isfinite(image), image, torch.zeros_like(image)) * inside
+    return _finite(image) * inside
+
+
+def _finite(image: Tensor) -> Tensor:
+    """0 where it is not finite. Comparing does this in one pass; `IsNaN` and `IsInf` take two."""
+    return torch.where(image.abs() < torch.inf, image, torch.zeros(()))
 
 
 def _with_gains_as_tensors(model: RadenBrdf) -> RadenBrdf:

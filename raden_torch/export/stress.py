@@ -28,8 +28,12 @@ class Case:
         return set(self.inputs) <= required and all(t.numel() for t in self.inputs.values())
 
 
-def cases(model: RadenBrdf, profile: str, output: str) -> list[Case]:
-    """The stress set of a profile; the same numbers every time."""
+def cases(model: RadenBrdf, profile: str, output: str, *, fixed: bool = False) -> list[Case]:
+    """The stress set of a profile; the same numbers every time.
+
+    Args:
+        fixed: the model's parameters are constants in the file, and no inputs.
+    """
     draw = torch.Generator().manual_seed(_SEED)
     if profile == "scene":
         found = _scene_cases(draw)
@@ -37,12 +41,19 @@ def cases(model: RadenBrdf, profile: str, output: str) -> list[Case]:
     else:
         found = _gbuffer_cases(draw)
         ordinary = _vectors((2, 6, 5), draw)
-    changed = {p.name: _changed(p) for p in ports(model, profile, output) if p.default is not None}
+    changed = {
+        p.name: _changed(p)
+        for p in ports(model, profile, output)
+        if p.default is not None and not (fixed and p.parameter)
+    }
     masked = _mask((2, 6, 5), draw)
     return [
         *found,
         Case("mask", ordinary | {"mask": masked}),
-        Case("other shell", ordinary | changed | {"mask": masked[:, :, :1]}),
+        Case(
+            "other lamp" if fixed else "other shell",
+            ordinary | changed | {"mask": masked[:, :, :1]},
+        ),
     ]
 
 
