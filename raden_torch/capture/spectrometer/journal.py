@@ -161,6 +161,7 @@ def read_journal(path: str | os.PathLike[str]) -> Contents:
                 if contents is None:
                     contents = Contents(_header(record))
                 else:
+                    _check_number(record, len(contents.taken))
                     contents.add(_record(record))
             except InputError as error:
                 raise InputError(f"{path}: line {number}: {error}") from None
@@ -233,7 +234,7 @@ class JournalFile:
         Raises:
             JournalWriteError: it could not be written.
         """
-        line = memoryview(_line(_as_json(record)))
+        line = memoryview(_line(_as_json(record, len(self.contents.taken))))
         size = len(line)
         try:
             while line:
@@ -268,14 +269,21 @@ class JournalFile:
         self.close()
 
 
+def _check_number(record: dict[str, Any], taken: int) -> None:
+    if record["record"] == "reading" and record["number"] != taken:
+        raise InputError(
+            f"reading {record['number']} where {taken} was to follow; one is missing or there twice"
+        )
+
+
 def _check_replay(path: Path, contents: Contents) -> None:
     """Ask the plan again for every step: what was read must be what it says, in its order."""
     so_far: list[Taken] = []
-    for number, taken in enumerate(contents.taken, 1):
+    for number, taken in enumerate(contents.taken):
         if contents.header.plan.next_step(so_far) != taken.step:
             raise InputError(
                 f"{path}: reading {number} (cell {taken.step.cell}) is not the one that the plan "
-                "asks for there; a reading is missing or is there twice"
+                "asks for there; the journal was changed"
             )
         so_far.append(taken)
 
@@ -316,11 +324,12 @@ def _header(record: dict[str, Any]) -> Header:
     return header
 
 
-def _as_json(record: Taken | Reference | Fault | Session) -> dict[str, Any]:
+def _as_json(record: Taken | Reference | Fault | Session, number: int) -> dict[str, Any]:
     if isinstance(record, Taken):
         position = record.step.position
         return {
             "record": "reading",
+            "number": number,
             "cell": record.step.cell,
             "target": record.step.target.value,
             "angles_deg": [position.incidence_deg, position.receiving_deg, position.tilt_deg],
