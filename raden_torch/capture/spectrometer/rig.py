@@ -1,0 +1,236 @@
+"""What a rig is made of: its axes, what it cannot reach, its white reference, its two instruments.
+
+A `Rig` is read from a file by `rig_config.load_rig`, or made by `simulation.simulated_rig`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from raden_torch.capture.spectrometer.ports import (
+    Colorimeter,
+    Floats,
+    Goniometer,
+    Position,
+    Target,
+)
+from raden_torch.errors import InputError
+
+ANGLES = ("incidence", "receiving", "tilt")
+"""The three angles of a position, in the order in which every table here keeps them."""
+
+Ask = Callable[[str], None]
+"""Shows an operator one line and returns when it has been done."""
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One raden angle and the rotary axis of the controller that turns it.
+
+    motor = `zero_deg` + `direction` · angle, in degrees of the controller.
+
+    Attributes:
+        letter: the controller's letter: X, Y, Z, A, B, C, U, V or W.
+        direction: 1 where the angle grows with the motor, −1 where it falls.
+        zero_deg: where the motor stands, after homing, when the angle is 0.
+        limits_deg: the soft limits, in degrees of the angle.
+    """
+
+    letter: str
+    direction: int = 1
+    zero_deg: float = 0.0
+    limits_deg: tuple[float, float] = (-90.0, 90.0)
+
+    def motor(self, angle_deg: float) -> float:
+        return self.zero_deg + self.direction * angle_deg
+
+    def angle(self, motor_deg: float) -> float:
+        return self.direction * (motor_deg - self.zero_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class WhiteReference:
+    """The white reference and its own reflectance factor, on the scale of a perfect diffuser = 100.
+
+    Attributes:
+        factor: its reflectance factor, the same in every geometry and at every wavelength; None
+            where `file` gives it.
+        file: a measurement of it, in the project's CSV.
+        geometry: where it is read.
+        name: for reports.
+        relative_std: of its reflectance factor, as its certificate states it (k = 1).
+    """
+
+    factor: float | None = 99.0
+    file: Path | None = None
+    geometry: Position = field(default_factory=lambda: Position(45.0, 0.0, 0.0))
+    name: str = "white reference"
+    relative_std: float = 0.0
+
+    def xyz(self, position: Position) -> Floats:
+        """XYZ reflectance factor `(3,)` for D65 at `position`, of the nearest reading of `file`.
+
+        Raises:
+            InputError: the file cannot be read, or has no reading within 5° of the position.
+        """
+        return _white_xyz(self, position)
+
+
+@dataclass(frozen=True, slots=True)
+class GoniometerSettings:
+    """All that a goniometer's driver needs to know. Times in seconds, angles in degrees.
+
+    Attributes:
+        port: a device ("/dev/ttyUSB0", "COM3") or a URL of pyserial ("socket://host:port").
+        axes: the axis of each angle of `ANGLES`.
+        approach_deg: how far below its target an axis starts its last move where it would
+            otherwise arrive from above: more than the backlash. 0 for none.
+        feed_deg_per_min: of every move; None for the controller's own rapid rate.
+        rapid_deg_per_s: that rate, for estimates of time alone.
+        settle_s: how long to wait after arrival.
+        homing: the command that homes; "manual" where the rig has no switches.
+        shows: for each target the lines to send, or a text for the operator.
+        poll_s: between two status requests (GRBL asks for 0.2 or more).
+    """
+
+    driver: str
+    port: str
+    axes: Mapping[str, Axis]
+    baud: int = 115200
+    approach_deg: float = 1.0
+    feed_deg_per_min: float | None = None
+    rapid_deg_per_s: float = 10.0
+    settle_s: float = 0.5
+    homing: str = "$H"
+    homing_timeout_s: float = 180.0
+    reply_timeout_s: float = 5.0
+    connect_timeout_s: float = 6.0
+    move_timeout_s: float = 600.0
+    poll_s: float = 0.2
+    shows: Mapping[Target, tuple[str, ...] | str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class ColorimeterSettings:
+    """All that a colorimeter's driver needs to know.
+
+    Attributes:
+        port: a device or a URL of pyserial.
+        baud: None for the instrument's usual rate.
+        spectrum: read the spectrum too, where the instrument has one.
+    """
+
+    driver: str
+    port: str
+    baud: int | None = None
+    spectrum: bool = True
+    reply_timeout_s: float = 12.0
+    connect_timeout_s: float = 12.0
+
+
+@dataclass(frozen=True, slots=True)
+class Obstruction:
+    """The detector in front of the lamp: the geometries with |incidence + receiving| < `angle_deg`.
+
+    `collides` where the two would touch: then only incidence + receiving ≥ `angle_deg` is in reach.
+    Otherwise they pass each other, and only readings are refused.
+    """
+
+    angle_deg: float = 0.0
+    collides: bool = False
+
+
+@dataclass(frozen=True)
+class Rig:
+    """One goniometer, one colorimeter, and what holds between them."""
+
+    name: str
+    goniometer_settings: GoniometerSettings
+    colorimeter_settings: ColorimeterSettings
+    obstruction: Obstruction = Obstruction()
+    white: WhiteReference = WhiteReference()
+    simulated: bool = False
+
+    def reachable(self, position: Position) -> str | None:
+        """Why there can be no reading at `position`; None where there can."""
+        hidden = self.obstruction.angle_deg
+        reason = self.out_of_reach(position)
+        if reason is None and abs(position.incidence_deg + position.receiving_deg) < hidden:
+            reason = f"the detector hides the lamp: incidence + receiving is within {hidden:g} of 0"
+        return reason
+
+    def out_of_reach(self, position: Position) -> str | None:
+        """Why the goniometer must not go to `position`; None where it may.
+
+        The last approach counts: it starts `approach_deg` of the motor below the target.
+        """
+        angles = angles_of(position)
+        if not np.isfinite(angles).all():
+            return "its angles are not finite numbers"
+        starts = angles.copy()
+        for i, name in enumerate(ANGLES):
+            axis = self.goniometer_settings.axes[name]
+            low, high = axis.limits_deg
+            if not low <= angles[i] <= high:
+                return f"{name} {angles[i]:g} is outside its limits {low:g}…{high:g}"
+            starts[i] -= axis.direction * self.goniometer_settings.approach_deg
+            if not low <= starts[i] <= high:
+                return (
+                    f"{name} {angles[i]:g} is approached from {starts[i]:g}, outside its limits "
+                    f"{low:g}…{high:g}"
+                )
+        # an axis may have to start its approach, or not: the least sum counts
+        between = np.minimum(angles, starts)[:2].sum()
+        if self.obstruction.collides and between < self.obstruction.angle_deg:
+            return (
+                "the detector would touch the lamp: incidence + receiving comes down to "
+                f"{between:g}, below {self.obstruction.angle_deg:g}"
+            )
+        return None
+
+    def goniometer(self, ask: Ask | None = None) -> Goniometer:
+        """Open the goniometer. `ask` speaks to the operator; by default at the terminal."""
+        from raden_torch.capture.spectrometer.drivers import open_goniometer
+
+        return open_goniometer(self, ask)
+
+    def colorimeter(self) -> Colorimeter:
+        """Open the colorimeter."""
+        from raden_torch.capture.spectrometer.drivers import open_colorimeter
+
+        return open_colorimeter(self.colorimeter_settings)
+
+
+def angles_of(position: Position) -> Floats:
+    """`(3,)` in the order of `ANGLES`."""
+    return np.array([position.incidence_deg, position.receiving_deg, position.tilt_deg], np.float64)
+
+
+def _white_xyz(white: WhiteReference, position: Position) -> Floats:
+    from raden_torch.capture.spectrometer.csv_file import load_csv
+
+    if white.file is None:
+        assert white.factor is not None
+        return white.factor / 100.0 * D65_XYZ
+    measurement = load_csv(white.file).as_xyz()
+    angles = np.stack(
+        [measurement.incidence_deg, measurement.receiving_deg, measurement.tilt_deg], axis=1
+    )[measurement.valid]
+    away = np.linalg.norm(angles - angles_of(position), axis=1)
+    nearest = int(np.argmin(away)) if len(away) else 0
+    if not len(away) or away[nearest] > _WHITE_FILE_STEP_DEG:
+        raise InputError(
+            f"{white.file}: no reading of the white reference within {_WHITE_FILE_STEP_DEG:g} "
+            f"degrees of incidence {position.incidence_deg:g}, receiving "
+            f"{position.receiving_deg:g}, tilt {position.tilt_deg:g}; measure it there"
+        )
+    return measurement.values[measurement.valid][nearest]
+
+
+_WHITE_FILE_STEP_DEG = 5.0
+D65_XYZ = np.array([95.047, 100.0, 108.883])
+"""The perfect reflecting diffuser under D65: CIE 015:2018, rounded as IEC 61966-2-1 has it."""
