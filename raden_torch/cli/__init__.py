@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import warnings
 
-from raden_torch.cli import model, picture  # noqa: F401 - importing them adds their subcommands
+from raden_torch.cli import model, picture, scan  # noqa: F401 - importing them adds their subcommands
 from raden_torch.cli.common import app
 from raden_torch.errors import InputError
 

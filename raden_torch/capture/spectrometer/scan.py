@@ -176,7 +176,6 @@ class _Scan:
         self.clock = clock
         self.may_home = True
         self.must_home = not goniometer.homed
-        self.shown: Target | None = None  # None: not known
         self.lost: set[Goniometer | Colorimeter] = set()  # whose line has to be opened again
         self.references_s: float | None = None  # when they were last read, in this session
 
@@ -269,10 +268,7 @@ class _Scan:
     def _read(self, position: Position, target: Target) -> ColorReading:
         with self._talking_to(self.goniometer):
             self._make_ready()
-            if self.shown is not target:
-                self.shown = None
-                self.goniometer.show(target)
-                self.shown = target
+            self.goniometer.show(target)  # before every reading: homing may have undone it
             self.goniometer.move(position)
         with self._talking_to(self.colorimeter):
             reading = self.colorimeter.measure()
@@ -290,7 +286,7 @@ class _Scan:
                 "the rig no longer knows where it stands, and was started without homing; put it "
                 "where it is said to stand, then resume"
             )
-        self.must_home, self.shown = True, None
+        self.must_home = True
         self.goniometer.home()
         self.must_home = False
 
