@@ -15,9 +15,12 @@ from raden_torch.errors import InputError
 from raden_torch.files import check_writable
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from raden_torch.capture.spectrometer.journal import JournalFile
     from raden_torch.capture.spectrometer.plan import FixedPlan
     from raden_torch.capture.spectrometer.rig import Rig
+    from raden_torch.capture.spectrometer.session import Instruments, References
 
 STOPPED = 3
 """The exit code of a scan that stopped before its end and can be resumed."""
@@ -74,7 +77,7 @@ def scan(
     ] = None,
     time_scale: Annotated[
         float, typer.Option(help="how much faster than a real rig a simulated one runs")
-    ] = 1000.0,
+    ] = 300.0,
     fault: Annotated[
         list[str] | None,
         typer.Option(help="of the simulated rig and its chance, as busy=0.01; may be repeated"),
@@ -96,7 +99,8 @@ def scan(
     position = None if stands_at is None else triple("--stands-at", stands_at)
     references = session.References(60 * white_every, white_readings)
     chosen = (plan, step, incidence, receiving, tilt, readings, repeats, white_at_each or None)
-    scale = 1.0 if dry_run else time_scale
+    scale = 1.0 if dry_run or not simulate else time_scale
+    waiting = 1.0 / scale**0.5  # a simulated fault passes sooner; the computer is as slow as ever
     with _rig_of(config, specimen, scale, fault or [], seed) as rig:
         wanted = None
         if not check and not (resume and not any(option is not None for option in chosen)):
@@ -114,9 +118,10 @@ def scan(
             _print_dry_run(rig, _needed(wanted), references, reading_seconds)
             return
         if simulate:
-            references = session.References(60 * white_every / time_scale, white_readings)
+            references = session.References(60 * white_every / scale, white_readings)
             sample = sample or Path(specimen).stem
-        with session.open_instruments(rig) as instruments:
+        operator = _Operator()
+        with session.open_instruments(rig, operator) as instruments:
             if check:
                 for line in session.check_rig(rig, instruments, move=yes):
                     print(line)
@@ -132,8 +137,25 @@ def scan(
                 sample=sample,
                 resume=resume,
             ) as journal:
-                _run(journal, instruments, position)
+                _run(journal, instruments, position, operator, waiting)
                 _write(journal, output)
+
+
+class _Operator:
+    """Asks a person at the terminal, with the progress bar out of the way."""
+
+    def __init__(self) -> None:
+        self.bar: Progress | None = None
+
+    def __call__(self, text: str) -> None:
+        from raden_torch.capture.spectrometer.drivers import ask_at_terminal
+
+        if self.bar is None:
+            ask_at_terminal(text)
+            return
+        self.bar.stop()
+        ask_at_terminal(text)
+        self.bar.start()
 
 
 @contextmanager
@@ -204,10 +226,9 @@ def _plan_of(
     )
 
 
-def _print_dry_run(rig: Rig, plan: FixedPlan, references: object, reading_s: float) -> None:
+def _print_dry_run(rig: Rig, plan: FixedPlan, references: References, reading_s: float) -> None:
     from raden_torch.capture.spectrometer import duration, session
 
-    assert isinstance(references, session.References)
     white = session.white_of(rig, plan)
     expected = duration.expected_duration(
         plan,
@@ -232,22 +253,27 @@ def _print_dry_run(rig: Rig, plan: FixedPlan, references: object, reading_s: flo
     )
 
 
-def _run(journal: JournalFile, instruments: object, position: object) -> None:
+def _run(
+    journal: JournalFile,
+    instruments: Instruments,
+    stands_at: tuple[float, float, float] | None,
+    operator: _Operator,
+    waiting_s: float,
+) -> None:
     """Scan until the plan is done; anything else ends the command with how to go on."""
     from raden_torch.capture.spectrometer import session
     from raden_torch.capture.spectrometer.ports import Position
-    from raden_torch.capture.spectrometer.scan import ScanStoppedError, run_scan
+    from raden_torch.capture.spectrometer.scan import Patience, ScanStoppedError, run_scan
 
-    assert isinstance(instruments, session.Instruments)
-    stands_at = None if position is None else Position(*position)  # type: ignore[misc]
     try:
-        with session.signals_interrupt(), _progress(journal) as on_step:
+        with session.signals_interrupt(), _progress(journal, operator) as on_step:
             run_scan(
                 journal,
                 instruments.goniometer,
                 instruments.colorimeter,
-                stands_at=stands_at,
+                stands_at=None if stands_at is None else Position(*stands_at),
                 on_step=on_step,
+                patience=Patience(first_wait_s=waiting_s),
             )
     except ScanStoppedError as error:
         _say_resume(journal, str(error))
@@ -268,7 +294,7 @@ def _say_resume(journal: JournalFile, why: str) -> None:
 
 
 @contextmanager
-def _progress(journal: JournalFile) -> Iterator[Callable[[int, str], None]]:
+def _progress(journal: JournalFile, operator: _Operator) -> Iterator[Callable[[int, str], None]]:
     """A bar with the time that is left, on stderr where a person looks on."""
     from rich.console import Console
     from rich.progress import (
@@ -294,6 +320,7 @@ def _progress(journal: JournalFile) -> Iterator[Callable[[int, str], None]]:
         task = bar.add_task(
             "", total=contents.header.plan.steps, completed=len(contents.taken), note=""
         )
+        operator.bar = bar
         yield lambda taken, note: bar.update(task, completed=taken, note=note[:60])
 
 

@@ -243,9 +243,15 @@ class JournalFile:
         except OSError as error:
             self._take_back()
             raise JournalWriteError(f"{self.path}: {error.strerror}") from error
-        except BaseException:  # Ctrl-C between two parts of a line
-            self._take_back()
+        except BaseException:  # Ctrl-C between two parts of a line, or behind the last
+            if line:
+                self._take_back()
+            else:
+                self._count(record, size)
             raise
+        self._count(record, size)
+
+    def _count(self, record: Taken | Reference | Fault | Session, size: int) -> None:
         self.contents.whole_bytes += size
         self.contents.torn_bytes = 0
         self.contents.add(record)

@@ -21,7 +21,7 @@ from raden_torch.capture.spectrometer.ports import (
     Range,
     Target,
 )
-from raden_torch.capture.spectrometer.rig import Rig
+from raden_torch.capture.spectrometer.rig import Ask, Rig
 from raden_torch.capture.spectrometer.scan import check_resumable
 from raden_torch.capture.spectrometer.white import Triple, White
 from raden_torch.errors import InputError
@@ -68,8 +68,8 @@ def journal_path(output: Path) -> Path:
 
 
 @contextmanager
-def open_instruments(rig: Rig) -> Iterator[Instruments]:
-    """Open both; nothing moves.
+def open_instruments(rig: Rig, ask: Ask | None = None) -> Iterator[Instruments]:
+    """Open both; nothing moves. `ask` speaks to the operator, where the rig needs one.
 
     Raises:
         InputError: one is not there, or is something else.
@@ -78,7 +78,7 @@ def open_instruments(rig: Rig) -> Iterator[Instruments]:
         try:
             colorimeter = rig.colorimeter()
             stack.callback(_closed, colorimeter)
-            goniometer = rig.goniometer()
+            goniometer = rig.goniometer(ask)
             stack.callback(_closed, goniometer)
         except InstrumentError as error:
             raise InputError(str(error)) from error
