@@ -8,6 +8,7 @@ meaning of the fields of `IDDR` and `MEDR,0,0,1` is theirs.
 from __future__ import annotations
 
 import math
+import re
 import time
 
 import numpy as np
@@ -33,7 +34,7 @@ _LONGEST_MEASUREMENT_S = 242
 _NOT_COMPUTED = -9.9e9  # the instrument writes -9.9999e+9
 _LARGEST = 1e9  # cd/m² or W/(sr·m²·nm): beyond this a number is garbled
 _ATTEMPTS = 3
-_GRACE_S = 1.0  # after a garbled line, which may have been the reply, no longer is waited for one
+_CANCEL_S = 2.0
 _SPECTRUM_TOLERANCE = 0.02
 _SPECTRUM_FLOOR = 0.01  # cd/m²; below, five digits and the dark noise decide
 _ERRORS = {
@@ -76,9 +77,7 @@ class Cs2000(Colorimeter):
             raise
 
     def measure(self) -> ColorReading:
-        code, seconds = self._start()
-        if code == "OK00":
-            code = self._second_reply(seconds)
+        code = self._run()
         if code == "ER10":
             return ColorReading(np.full(3, np.nan), Range.OVER)
         self._check(code, "MEAS,1")
@@ -122,7 +121,7 @@ class Cs2000(Colorimeter):
                 break
             heard = reply or heard
             if reply[:4] == "ER02":  # measuring for a program that is gone
-                self._ask("MEAS,0", 2.0)
+                self._ask("MEAS,0", _CANCEL_S)
             if time.monotonic() > deadline:
                 raise ConnectionLostError(
                     f"{self._name}: no CS-2000 answered at {self._line.settings.baud} baud"
@@ -145,32 +144,41 @@ class Cs2000(Colorimeter):
         number = f", serial number {fields[2].strip()}" if len(fields) > 2 else ""
         return f"Konica Minolta {model}{number}"
 
-    def _start(self) -> tuple[str, float]:
-        """`MEAS,1`: how many seconds it will take. This reply itself comes 1…10 s late."""
-        reply = self._ask("MEAS,1", self._settings.reply_timeout_s)
-        if reply is None:
-            raise ConnectionLostError(f"{self._name}: no reply to 'MEAS,1'")
-        code, _, rest = reply.partition(",")
-        if code not in _ERRORS:
-            code = "OK00"  # garbled: the second reply tells
-        digits = rest.strip()
-        if not digits.isdigit() or int(digits) > _LONGEST_MEASUREMENT_S:
-            return code, _LONGEST_MEASUREMENT_S  # garbled: wait as long as it can take
-        return code, int(digits)
-
-    def _second_reply(self, seconds: float) -> str:
-        end = time.monotonic() + seconds
-        deadline = end + self._settings.reply_timeout_s
-        while (line := self._line.read_line(deadline - time.monotonic())) is not None:
-            if line.startswith("OK00,"):
-                continue  # the announcement, after noise that was taken for it
-            if line == "OK00" or line[:4] in _ERRORS:
-                return line[:4]
-            deadline = max(time.monotonic(), end) + _GRACE_S  # garbled, maybe the reply itself
-        self._ask("MEAS,0", 2.0)
+    def _run(self) -> str:
+        """Measure once: how it ended. Where replies were garbled, it is cancelled and repeated."""
+        for _ in range(_ATTEMPTS):
+            code = self._measured()
+            if code is not None:
+                return code
+            self._ask("MEAS,0", _CANCEL_S)
         raise ConnectionLostError(
-            f"{self._name}: no end of a measurement that was to take {seconds:g} s"
+            f"{self._name}: 'MEAS,1' was answered {_ATTEMPTS} times with something else than OK00 "
+            "or an error; check the cable and the baud rate"
         )
+
+    def _measured(self) -> str | None:
+        """`MEAS,1` and its two replies: `OK00` or an error; None where they were garbled.
+
+        The first, `OK00,nnn`, comes 1…10 s late and announces how many seconds remain until the
+        second.
+        """
+        self._line.discard_received()
+        self._line.send(b"MEAS,1\r\n")
+        deadline, garbled = time.monotonic() + self._settings.reply_timeout_s, False
+        while (line := self._line.read_line(deadline - time.monotonic())) is not None:
+            announced = re.fullmatch(r"OK00, *(\d{1,3})", line)
+            if announced:
+                seconds = min(int(announced[1]), _LONGEST_MEASUREMENT_S)
+                deadline = time.monotonic() + seconds + self._settings.reply_timeout_s
+            elif line == "OK00" or line[:4] in _ERRORS:
+                return line[:4]
+            else:  # noise, or the reply itself
+                garbled = True
+                deadline = time.monotonic() + self._grace_s
+        if garbled:
+            return None
+        self._ask("MEAS,0", _CANCEL_S)
+        raise ConnectionLostError(f"{self._name}: no reply in time to 'MEAS,1'")
 
     def _integration_s(self) -> float | None:
         """The third field of the measuring conditions, in microseconds."""
@@ -237,7 +245,7 @@ class Cs2000(Colorimeter):
             if line[:4] == "OK00" or line[:4] in _ERRORS:
                 return line
             first = first or line
-            deadline = min(deadline, time.monotonic() + _GRACE_S)
+            deadline = min(deadline, time.monotonic() + self._grace_s)
         return first
 
     def _check(self, code: str, command: str) -> None:
@@ -249,6 +257,11 @@ class Cs2000(Colorimeter):
             )
         kind = InstrumentBusyError if code == "ER02" else InstrumentError
         raise kind(f"{self._name}: {command!r} was answered {code}: {_ERRORS[code]}")
+
+    @property
+    def _grace_s(self) -> float:
+        """How much longer to wait after a garbled line, which may have been the reply."""
+        return self._settings.reply_timeout_s / 10
 
     @property
     def _name(self) -> str:

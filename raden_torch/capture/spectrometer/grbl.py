@@ -47,7 +47,6 @@ ARRIVED_DEG = 0.05
 """How close to its target a stage at rest has arrived: more than a step, less than matters."""
 _LARGEST_DEG = 1e5  # a position beyond this is a garbled number
 _STOP_TIMEOUT_S = 5.0
-_GRACE_S = 0.5  # after a garbled line, which may have been the reply, no longer is waited for one
 _STALLED_S = 5.0  # how long it may be idle elsewhere, or held, before that is an error
 _DEFAULT_LETTERS = "XYZABCUVW"
 _GREETING = re.compile(r"^(Grbl|GrblHAL)\b.*\[", re.IGNORECASE)
@@ -324,7 +323,8 @@ class GrblGoniometer(Goniometer):
                 )
             self._look_for_alarm(line)
             if _garbled(line):
-                deadline = min(deadline, time.monotonic() + _GRACE_S)
+                # it may have been the reply: not much longer is waited for another
+                deadline = min(deadline, time.monotonic() + timeout_s / 10)
             if line != "ok" and not line.startswith("error:"):
                 said.append(line)
                 continue
@@ -381,6 +381,8 @@ class GrblGoniometer(Goniometer):
                 if line == "ok" or line.startswith("error:"):
                     self._replies_due = max(0, self._replies_due - 1)
                 status = parse_status(line)
+                if status is None and (_garbled(line) or line.startswith("<")):
+                    break  # it may have been the report
                 if status and (status.machine or status.work):
                     self._offset = status.offset or self._offset
                     if status.base_state == "Alarm":

@@ -198,9 +198,6 @@ def _white(path: Path, table: _Table) -> WhiteReference:
 
 
 def _check_travel(top: _Table, rig: Rig) -> None:
-    reason = rig.reachable(rig.white.geometry)
-    if reason:
-        raise top.error("white.geometry_deg", f"out of reach: {reason}")
     for name in ANGLES:
         low, high = rig.goniometer_settings.axes[name].limits_deg
         if high - low <= rig.goniometer_settings.approach_deg:
@@ -209,6 +206,9 @@ def _check_travel(top: _Table, rig: Rig) -> None:
                 f"{low:g}…{high:g} leaves no room for approach_deg = "
                 f"{rig.goniometer_settings.approach_deg:g}",
             )
+    reason = rig.reachable(rig.white.geometry)
+    if reason:
+        raise top.error("white.geometry_deg", f"out of reach: {reason}")
 
 
 def _parsed(path: Path) -> dict[str, Any]:

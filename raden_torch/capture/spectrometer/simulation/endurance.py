@@ -55,7 +55,7 @@ _TIME_SCALE = 2000.0
 _STEADY = Conditions(noise=0.0, dark_noise_cd_m2=0.0, lamp_drift=0.0)
 _REFERENCES = References(every_s=2.0, readings=2)
 _PATIENCE = Patience(attempts=20, first_wait_s=0.005)
-_LONGEST_LIFE_S = 0.7  # of a process, before it is killed
+_LONGEST_LIFE_S = 0.5  # of a process, before it is killed
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 
 FIRST_NM, LAST_NM = 380, 780
-_FLATNESS = 1e-9  # keeps the smoothness matrix invertible; 1e-9 of it
 
 
 @dataclass(frozen=True)
@@ -106,9 +105,10 @@ def make_scene(measurement: BrdfMeasurement, luminance_cd_m2: float) -> Scene:
 def _smoothest(to_xyz: Floats) -> Floats:
     """`(n, 3)`: of all spectra with given XYZ, the one with the least second differences.
 
-    min |D ρ|² with C ρ = XYZ: ρ = W Cᵀ (C W Cᵀ)⁻¹ XYZ, W = (DᵀD + ε)⁻¹. Grey stays flat.
+    min |D ρ|² with C ρ = XYZ, by its multipliers: (DᵀD, Cᵀ; C, 0) (ρ; μ) = (0; XYZ). Grey is flat.
     """
     n = to_xyz.shape[1]
     second = np.diff(np.eye(n), 2, axis=0)
-    spread = np.linalg.solve(second.T @ second + _FLATNESS * np.eye(n), to_xyz.T)
-    return np.asarray(np.linalg.solve((to_xyz @ spread).T, spread.T).T)
+    system = np.block([[second.T @ second, to_xyz.T], [to_xyz, np.zeros((3, 3))]])
+    wanted = np.vstack([np.zeros((n, 3)), np.eye(3)])
+    return np.asarray(np.linalg.solve(system, wanted)[:n])
