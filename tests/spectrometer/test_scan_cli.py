@@ -82,7 +82,7 @@ def test_from_the_rig_to_the_sphere(specimen: Path, tmp_path: Path) -> None:
     assert table is not None
     rgb, true_rgb = m.as_rgb(), truth.as_rgb()
     assert rgb.std is not None
-    apart = 100 * np.pi * table.values.numpy().reshape(-1, 3) - true_rgb.values
+    apart = 100 * np.pi * table.values.detach().numpy().reshape(-1, 3) - true_rgb.values
     assert (abs(apart) < 5 * rgb.std)[m.valid].all()
     done = raden("render", model, "--size", 64, "-o", tmp_path / "sphere.png")
     assert done.returncode == 0, done.stderr
