@@ -143,7 +143,7 @@ def test_any_text_is_a_report_or_none(text: str) -> None:
         assert status is None or not status.machine or np.isfinite(status.machine).all()
 
 
-# -- against the simulated controller ---------------------------------------------------------------
+# -- against the simulated controller ------------------------------------------------------------
 
 
 def test_home_move_and_tell(live) -> None:
@@ -260,6 +260,45 @@ def test_stop_in_motion_keeps_the_position(live) -> None:
         assert controller.truth[3] == pytest.approx(goniometer.position().incidence_deg, abs=1e-3)
 
 
+def test_stop_while_homing_resets_at_once(live) -> None:
+    """A hold does not stop homing, and `?` gets no answer: only the reset is left."""
+    controller = live(time_scale=1.0, switches=False)
+    with opened(rig_at(controller.port, homing_timeout_s=0.3)) as goniometer:
+        with pytest.raises(ConnectionLostError, match=r"no reply to '\$H'"):
+            goniometer.home()
+        goniometer.stop()
+        assert goniometer._status().state == "Alarm"
+        assert not goniometer.homed
+
+
+def test_a_program_that_was_killed_while_homing_leaves_a_usable_controller(live) -> None:
+    controller = live(time_scale=1.0, switches=False)
+    goniometer = GrblGoniometer(rig_at(controller.port, homing_timeout_s=0.1), never_ask)
+    with pytest.raises(ConnectionLostError):
+        goniometer.home()
+    goniometer.close()
+    with opened(rig_at(controller.port, connect_timeout_s=1.0)) as goniometer:
+        assert not goniometer.homed
+        assert goniometer._status().state == "Alarm"
+
+
+def test_a_controller_that_does_not_know_its_build(scripted) -> None:
+    controller = Grbl11(scripted)
+    controller.replies["$I"] = b"error:3\r\n"
+    with opened(rig_at(controller.instrument.port, letters="XYZ")) as goniometer:
+        assert goniometer.identity == "Grbl"
+        goniometer.home()
+
+
+def test_a_greeting_that_comes_late(scripted) -> None:
+    """The first boot: `error:7`, then the greeting, maybe after the first status report."""
+    controller = Grbl11(scripted)
+    controller.once["$I"] = b"error:7\r\n\r\nGrbl 1.1h ['$' for help]\r\nok\r\n"
+    with opened(rig_at(controller.instrument.port, letters="XYZ")) as goniometer:
+        goniometer.home()
+        goniometer.move(Position(10, 0, 0))
+
+
 def test_after_ctrl_c_the_next_reply_is_not_taken_for_an_older_one(live) -> None:
     controller = live()
     with opened(rig_at(controller.port)) as goniometer:
@@ -305,7 +344,7 @@ def test_lost_and_found(live, scripted, tmp_path) -> None:
     goniometer.close()
 
 
-# -- scripts of what the simulated controller does not do ---------------------------------------------
+# -- scripts of what the simulated controller does not do ----------------------------------------
 
 
 class Grbl11:
@@ -315,6 +354,7 @@ class Grbl11:
         self.state, self.offset = "Idle", np.array([0.0, 5.0, 0.0])
         self.work = -self.offset
         self.replies: dict[str, bytes] = {}
+        self.once: dict[str, bytes] = {}
         self.got: list[str] = []
         self._text = ""
         self._reports = 0
@@ -343,6 +383,8 @@ class Grbl11:
 
     def _line(self, line: str) -> bytes:
         self.got.append(line)
+        if line in self.once:
+            return self.once.pop(line)
         if line in self.replies:
             return self.replies[line]
         if line == "$I":
@@ -410,7 +452,7 @@ def test_a_controller_that_falls_silent(scripted) -> None:
     with opened(rig) as goniometer:
         goniometer.home()
         controller.replies["M8"] = b""
-        with pytest.raises(ConnectionLostError, match="no reply to 'M8' within 0.2 s"):
+        with pytest.raises(ConnectionLostError, match=r"no reply to 'M8' within 0\.2 s"):
             goniometer.show(Target.DARK)
 
 

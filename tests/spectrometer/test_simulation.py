@@ -48,7 +48,7 @@ def shell(tmp_path_factory) -> tuple[Path, rt.BrdfMeasurement]:
     return path, measurement
 
 
-# -- the recorded session --------------------------------------------------------------------------
+# -- the recorded session ------------------------------------------------------------------------
 
 
 def structure(line: str) -> str:
@@ -127,7 +127,7 @@ def test_the_recorded_positions_are_met(shared: Path) -> None:
     assert ours == at_rest
 
 
-# -- parts -----------------------------------------------------------------------------------------
+# -- parts ---------------------------------------------------------------------------------------
 
 
 def test_a_move_keeps_every_axis_within_its_rate_and_acceleration() -> None:
@@ -215,7 +215,7 @@ def test_bad_conditions_and_measurements(tmp_path: Path) -> None:
         pass
 
 
-# -- the running rig ---------------------------------------------------------------------------------
+# -- the running rig -----------------------------------------------------------------------------
 
 
 class Reader:

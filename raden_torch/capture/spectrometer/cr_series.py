@@ -72,10 +72,10 @@ class CrSeries(Colorimeter):
     # -- the conversation ----------------------------------------------------------------------
 
     def _connect(self) -> None:
-        code, kind = "", ""
+        code, kind, limit = "", "", self._settings.reply_timeout_s
         for _ in range(_ATTEMPTS):
             try:
-                code, kind = self._ask("RC InstrumentType", 2.0)
+                code, kind = self._ask("RC InstrumentType", min(2.0, limit))
                 break
             except ConnectionLostError as error:
                 reason = error

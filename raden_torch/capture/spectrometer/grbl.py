@@ -47,6 +47,8 @@ ARRIVED_DEG = 0.05
 """How close to its target a stage at rest has arrived: more than a step, less than matters."""
 _LARGEST_DEG = 1e5  # a position beyond this is a garbled number
 _STOP_TIMEOUT_S = 5.0
+_ATTEMPTS = 3
+_QUIET_S = 0.1
 _STALLED_S = 5.0  # how long it may be idle elsewhere, or held, before that is an error
 _DEFAULT_LETTERS = "XYZABCUVW"
 _GREETING = re.compile(r"^(Grbl|GrblHAL)\b.*\[", re.IGNORECASE)
@@ -121,6 +123,8 @@ class GrblGoniometer(Goniometer):
         self._homed = False
         self._shown: Target | None = None
         self._replies_due = 0
+        self._asked_status = 0.0
+        self._homing = False
         self._line = SerialLine(LineSettings(s.port, s.baud))
         try:
             self._connect()
@@ -142,7 +146,9 @@ class GrblGoniometer(Goniometer):
             self._ask("Turn every axis to its zero mark by hand")
             self.assume_position(Position(0.0, 0.0, 0.0))
             return
+        self._homing = True
         self._command(s.homing, s.homing_timeout_s)
+        self._homing = False
         self._wait_idle(s.reply_timeout_s)
         self._zero = [axis.zero_deg for axis in self._axes]
         self._homed = True
@@ -204,15 +210,19 @@ class GrblGoniometer(Goniometer):
         self._shown = target
 
     def stop(self) -> None:
+        held = None
+        if not self._homing:  # which a hold does not stop, and during which `?` gets no answer
+            with suppress(InstrumentError):
+                self._line.send(HOLD)
+                held = self._wait_held()
+        if held is not None and held.base_state == "Idle":
+            return
+        # the rest of the move is still queued: a reset forgets it. After a completed hold it keeps
+        # the position; in motion it raises an alarm, and the position is lost
+        if held is None or held.state not in ("Hold:0", "Hold"):
+            self._homed = False
         with suppress(InstrumentError):
-            self._line.send(HOLD)
-            held = self._wait_held()
-            if held is None or held.base_state != "Idle":
-                # the rest of the move is still queued: a reset forgets it. After a completed hold
-                # it keeps the position; in motion it raises an alarm, and the position is lost
-                if held is None or held.state != "Hold:0":
-                    self._homed = False
-                self._soft_reset()
+            self._soft_reset()
 
     def reconnect(self) -> None:
         self._homed = False
@@ -235,8 +245,18 @@ class GrblGoniometer(Goniometer):
         self._letters = _DEFAULT_LETTERS
         self._zero = [axis.zero_deg for axis in self._axes]
         self._await_controller()
-        version, letters = self._ask_build_info()
-        self.identity = version
+        for attempt in range(_ATTEMPTS):
+            try:
+                self._identify()
+                break
+            except MotionAlarmError:  # an alarm or a greeting from before: nothing is homed yet
+                if attempt == _ATTEMPTS - 1:
+                    raise
+                self._line.drain(_QUIET_S)
+                self._replies_due = 0
+
+    def _identify(self) -> None:
+        self.identity, letters = self._ask_build_info()
         status = self._first_status()
         count = len(status.machine or status.work or ())
         self._letters = letters or _DEFAULT_LETTERS[:count]
@@ -274,7 +294,7 @@ class GrblGoniometer(Goniometer):
     def _ask_build_info(self) -> tuple[str, str]:
         """Version, and the axis letters where the controller tells them (grblHAL does)."""
         found = {"VER": "", "AXS": "", "FIRMWARE": "Grbl", "DRIVER": ""}
-        for line in self._command("$I", self._settings.reply_timeout_s, locked_is_fine=True):
+        for line in self._build_info():
             match = re.fullmatch(r"\[(\w+):(.*)\]", line)
             if match and match[1] in found:
                 found[match[1]] = match[2].strip(": ")
@@ -282,13 +302,21 @@ class GrblGoniometer(Goniometer):
         parts = (found["FIRMWARE"], found["VER"], found["DRIVER"] and f"on {found['DRIVER']}")
         return " ".join(part for part in parts if part), letters
 
+    def _build_info(self) -> list[str]:
+        """The lines of `$I`; none where the controller does not know it."""
+        try:
+            return self._command("$I", self._settings.reply_timeout_s)
+        except (ConnectionLostError, MotionAlarmError):
+            raise
+        except InstrumentError:
+            return []
+
     def _first_status(self) -> Status:
         """A report with positions; asks a few times, since the work offset comes in some only."""
         for _ in range(4):
             status = self._status()
             if self._offset is not None:
                 break
-            time.sleep(self._settings.poll_s)
         return status
 
     def _command(
@@ -296,7 +324,6 @@ class GrblGoniometer(Goniometer):
         text: str,
         timeout_s: float,
         *,
-        locked_is_fine: bool = False,
         checked_later: bool = False,
     ) -> list[str]:
         """Send a line, wait for its `ok`; what came before it.
@@ -335,10 +362,7 @@ class GrblGoniometer(Goniometer):
             self._replies_due = 0
             if line == "ok":
                 return said
-            number = _error_number(line)
-            if locked_is_fine and number in (8, 9):
-                return said
-            self._refused(text, number)
+            self._refused(text, _error_number(line))
 
     def _refused(self, text: str, number: int) -> None:
         meaning = f"error {number}" + (f", {_ERRORS[number]}" if number in _ERRORS else "")
@@ -371,9 +395,11 @@ class GrblGoniometer(Goniometer):
             self._look_for_alarm(line)
 
     def _status(self) -> Status:
-        """Ask until a whole report comes; garbled ones are asked for again."""
+        """Ask until a whole report comes, no oftener than every `poll_s`."""
         deadline = time.monotonic() + self._settings.reply_timeout_s
         while True:
+            time.sleep(max(0.0, self._asked_status + self._settings.poll_s - time.monotonic()))
+            self._asked_status = time.monotonic()
             self._line.send(STATUS)
             until = min(deadline, time.monotonic() + max(1.0, 5 * self._settings.poll_s))
             while (line := self._line.read_line(until - time.monotonic())) is not None:
@@ -426,7 +452,6 @@ class GrblGoniometer(Goniometer):
                     f"{self._name}: in state {status.state}, {away:.2f} degrees from its target; "
                     "look at the stage, then home it"
                 )
-            time.sleep(self._settings.poll_s)
 
     def _wait_idle(self, timeout_s: float) -> Status:
         deadline = time.monotonic() + timeout_s
@@ -441,16 +466,14 @@ class GrblGoniometer(Goniometer):
                 raise InstrumentError(
                     f"{self._name}: still in state {status.state} after {timeout_s:g} s"
                 )
-            time.sleep(self._settings.poll_s)
 
     def _wait_held(self) -> Status | None:
         """The state in which the stage stands still; None where that did not show in time."""
         deadline = time.monotonic() + _STOP_TIMEOUT_S
         while time.monotonic() < deadline:
             status = self._status()
-            if status.state in ("Idle", "Hold:0", "Alarm", "Check", "Sleep"):
+            if status.state in ("Idle", "Hold", "Hold:0", "Alarm", "Check", "Sleep"):
                 return status
-            time.sleep(self._settings.poll_s)
         return None
 
     def _make_ready(self) -> None:
@@ -464,7 +487,7 @@ class GrblGoniometer(Goniometer):
 
     def _quiet_status(self) -> Status:
         """A status where alarms are no surprise; each is told once."""
-        for _ in range(3):
+        for _ in range(_ATTEMPTS - 1):
             with suppress(MotionAlarmError):
                 return self._status()
         return self._status()
@@ -484,6 +507,7 @@ class GrblGoniometer(Goniometer):
     def _forget_session(self) -> None:
         """After a reset no reply is due any more, and the controller's outputs are off."""
         self._replies_due = 0
+        self._homing = False
         if self._shown and not isinstance(self._settings.shows[self._shown], str):
             self._shown = None
 
