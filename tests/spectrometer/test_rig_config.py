@@ -191,6 +191,11 @@ def test_the_white_references_own_measurement(rig_file, tmp_path: Path) -> None:
     np.testing.assert_allclose(rig.white.xyz(Position(31, 44, 0)), [93, 98, 103])
     with pytest.raises(InputError, match="no reading of the white reference within 5"):
         rig.white.xyz(Position(60, 0, 0))
+    a, r, t = (x.ravel() for x in np.meshgrid(*[[30.0, 40.0, 50.0]] * 3, indexing="ij"))
+    rt.BrdfMeasurement(a, r, t, xyz[:1] + (a + 2 * r + 3 * t)[:, None]).save(tmp_path / "tile.csv")
+    # a new version of the file; a grid, so linear between its cells
+    found = rig.white.xyz(Position(41, 32, 43))
+    np.testing.assert_allclose(found, xyz[0] + 41 + 64 + 129)
     (tmp_path / "tile.csv").write_text("not a measurement")
     with pytest.raises(InputError, match="not the project's CSV"):
         load_rig(rig_file(RIG.replace("reflectance_factor = 98.5", 'file = "tile.csv"')))

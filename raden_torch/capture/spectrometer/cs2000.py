@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 import time
+from contextlib import suppress
 
 import numpy as np
 
@@ -103,11 +104,9 @@ class Cs2000(Colorimeter):
         self._connect()
 
     def close(self) -> None:
-        try:
+        with suppress(InstrumentError):  # a line that is gone cannot be given back in order
             self._line.send(b"RMTS,0\r\n")
             self._line.read_line(1.0)
-        except InstrumentError:
-            pass  # a line that is gone cannot be given back in order
         self._line.close()
 
     # -- the conversation ----------------------------------------------------------------------
@@ -117,7 +116,7 @@ class Cs2000(Colorimeter):
         heard = ""
         while True:
             reply = self._ask("RMTS,1", min(2.0, self._settings.reply_timeout_s)) or ""
-            if reply == "OK00":
+            if reply[:4] == "OK00":
                 break
             heard = reply or heard
             if reply[:4] == "ER02":  # measuring for a program that is gone
@@ -138,11 +137,9 @@ class Cs2000(Colorimeter):
             raise
         except InstrumentError:
             fields = []
-        model = {"1": "CS-2000", "2": "CS-2000A"}.get(
-            fields[1].strip() if len(fields) > 1 else "", fields[0].strip() if fields else "CS-2000"
-        )
-        number = f", serial number {fields[2].strip()}" if len(fields) > 2 else ""
-        return f"Konica Minolta {model}{number}"
+        name, variation, number, *_ = [*(field.strip() for field in fields), "", "", ""]
+        model = {"1": "CS-2000", "2": "CS-2000A"}.get(variation, name or "CS-2000")
+        return f"Konica Minolta {model}" + (f", serial number {number}" if number else "")
 
     def _run(self) -> str:
         """Measure once: how it ended. Where replies were garbled, it is cancelled and repeated."""
@@ -164,12 +161,16 @@ class Cs2000(Colorimeter):
         """
         self._line.discard_received()
         self._line.send(b"MEAS,1\r\n")
-        deadline, garbled = time.monotonic() + self._settings.reply_timeout_s, False
+        deadline = time.monotonic() + self._settings.reply_timeout_s
+        announced = garbled = False
         while (line := self._line.read_line(deadline - time.monotonic())) is not None:
-            announced = re.fullmatch(r"OK00, *(\d{1,3})", line)
-            if announced:
-                seconds = min(int(announced[1]), _LONGEST_MEASUREMENT_S)
+            announcement = re.fullmatch(r"OK00, *(\d{1,3})", line)
+            if announcement:
+                announced = True
+                seconds = min(int(announcement[1]), _LONGEST_MEASUREMENT_S)
                 deadline = time.monotonic() + seconds + self._settings.reply_timeout_s
+            elif line == "OK00" and not (announced or garbled):
+                continue  # of an earlier command, late
             elif line == "OK00" or line[:4] in _ERRORS:
                 return line[:4]
             else:  # noise, or the reply itself

@@ -18,7 +18,6 @@ from raden_torch.capture.spectrometer.ports import (
     Position,
     Target,
 )
-from raden_torch.errors import InputError
 
 ANGLES = ("incidence", "receiving", "tilt")
 """The three angles of a position, in the order in which every table here keeps them."""
@@ -72,12 +71,17 @@ class WhiteReference:
     relative_std: float = 0.0
 
     def xyz(self, position: Position) -> Floats:
-        """XYZ reflectance factor `(3,)` for D65 at `position`, of the nearest reading of `file`.
+        """XYZ reflectance factor `(3,)` for D65 at `position`.
 
         Raises:
-            InputError: the file cannot be read, or has no reading within 5° of the position.
+            InputError: the file cannot be read, or has nothing within 5° of the position.
         """
-        return _white_xyz(self, position)
+        if self.file is not None:
+            from raden_torch.capture.spectrometer.white_file import xyz_at
+
+            return xyz_at(self.file, position)
+        assert self.factor is not None
+        return self.factor / 100.0 * D65_XYZ
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,27 +214,5 @@ def angles_of(position: Position) -> Floats:
     return np.array([position.incidence_deg, position.receiving_deg, position.tilt_deg], np.float64)
 
 
-def _white_xyz(white: WhiteReference, position: Position) -> Floats:
-    from raden_torch.capture.spectrometer.csv_file import load_csv
-
-    if white.file is None:
-        assert white.factor is not None
-        return white.factor / 100.0 * D65_XYZ
-    measurement = load_csv(white.file).as_xyz()
-    angles = np.stack(
-        [measurement.incidence_deg, measurement.receiving_deg, measurement.tilt_deg], axis=1
-    )[measurement.valid]
-    away = np.linalg.norm(angles - angles_of(position), axis=1)
-    nearest = int(np.argmin(away)) if len(away) else 0
-    if not len(away) or away[nearest] > _WHITE_FILE_STEP_DEG:
-        raise InputError(
-            f"{white.file}: no reading of the white reference within {_WHITE_FILE_STEP_DEG:g} "
-            f"degrees of incidence {position.incidence_deg:g}, receiving "
-            f"{position.receiving_deg:g}, tilt {position.tilt_deg:g}; measure it there"
-        )
-    return measurement.values[measurement.valid][nearest]
-
-
-_WHITE_FILE_STEP_DEG = 5.0
 D65_XYZ = np.array([95.047, 100.0, 108.883])
 """The perfect reflecting diffuser under D65: CIE 015:2018, rounded as IEC 61966-2-1 has it."""
