@@ -56,8 +56,10 @@ def scan(
     white_at_each: Annotated[
         bool, typer.Option("--white-at-each", help="read the white reference in every cell")
     ] = False,
-    white_every: Annotated[float, typer.Option(help="read dark and white, minutes")] = 10.0,
-    white_readings: Annotated[int, typer.Option(help="how many, of each")] = 5,
+    white_every: Annotated[
+        float | None, typer.Option(help="read dark and white, minutes; 10")
+    ] = None,
+    white_readings: Annotated[int | None, typer.Option(help="how many, of each; 5")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on with a scan's journal")] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="say what would be read and how long it takes")
@@ -97,7 +99,10 @@ def scan(
         raise InputError("--resume: name the measurement whose scan goes on, as -o shell.csv")
     journal_path = None if output is None else session.journal_path(check_writable(output))
     position = None if stands_at is None else triple("--stands-at", stands_at)
-    references = session.References(60 * white_every, white_readings)
+    if resume and (white_every is not None or white_readings is not None):
+        raise InputError("--white-every and --white-readings are in the journal; leave them out")
+    every_s = 600.0 if white_every is None else 60 * white_every
+    references = session.References(every_s, 5 if white_readings is None else white_readings)
     chosen = (plan, step, incidence, receiving, tilt, readings, repeats, white_at_each or None)
     scale = 1.0 if dry_run or not simulate else time_scale
     waiting = 1.0 / scale**0.5  # a simulated fault passes sooner; the computer is as slow as ever
@@ -118,13 +123,12 @@ def scan(
             _print_dry_run(rig, _needed(wanted), references, reading_seconds)
             return
         if simulate:
-            references = session.References(60 * white_every / scale, white_readings)
+            references = session.References(every_s / scale, references.readings)
             sample = sample or Path(specimen).stem
         operator = _Operator()
         with session.open_instruments(rig, operator) as instruments:
             if check:
-                for line in session.check_rig(rig, instruments, move=yes):
-                    print(line)
+                _print_check(rig, instruments, move=yes)
                 return
             assert output is not None
             assert journal_path is not None
@@ -251,6 +255,18 @@ def _print_dry_run(rig: Rig, plan: FixedPlan, references: References, reading_s:
         "white, the rig's speed and settling time, dark and white "
         f"{references.readings} times every {references.every_s / 60:g} min"
     )
+
+
+def _print_check(rig: Rig, instruments: Instruments, *, move: bool) -> None:
+    from raden_torch.capture.spectrometer import session
+
+    try:
+        with session.signals_interrupt():
+            for line in session.check_rig(rig, instruments, move=move):
+                print(line, flush=True)
+    except session.InterruptedScan as error:
+        typer.echo(f"raden: stopped by {error}", err=True)
+        raise typer.Exit(error.exit_code) from error
 
 
 def _run(

@@ -202,6 +202,7 @@ def test_a_journal_is_not_overwritten_nor_mixed(rig: SimulatedRig, tmp_path: Pat
         (("--config", "none.toml", "-o", "x.csv"), "none.toml: No such file"),
         (("--simulate", "-o", "x.csv", "--white-every", "0"), "white every 0 min"),
         (("--simulate", "-o", "x.csv", "--white-readings", "1"), "1 white readings"),
+        (("--simulate", "-o", "x.csv", "--resume", "--white-every", "5"), "are in the journal"),
         (("--simulate", "-o", "x.csv", "--stands-at", "1,2"), "--stands-at 1,2"),
         (("--simulate", "-o", "x.csv", "--fault", "rain=1"), "--fault rain: is not known"),
     ],

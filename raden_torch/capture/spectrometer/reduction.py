@@ -358,8 +358,10 @@ def _series(references: list[Reference], target: Target) -> list[list[Reference]
         for r in references
         if r.target is target and (r.reading.range is Range.OK or target is Target.DARK)
     ]
-    numbers = sorted({r.series for r in wanted})
-    return [[r for r in wanted if r.series == number] for number in numbers]
+    by_number: dict[int, list[Reference]] = {}
+    for reference in wanted:
+        by_number.setdefault(reference.series, []).append(reference)
+    return sorted(by_number.values(), key=lambda one: one[0].time_s)  # a clock may be set back
 
 
 def _around(time_s: Floats, at_s: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp], Floats]:

@@ -171,8 +171,13 @@ def check_rig(rig: Rig, instruments: Instruments, *, move: bool) -> Iterator[str
             yield f"{target.value} at {_words(rig.white.geometry)}: " + _reading_in_words(
                 instruments.colorimeter.measure()
             )
-    except InstrumentError as error:
-        raise InputError(str(error)) from error
+    except BaseException as error:
+        if move:
+            with suppress(InstrumentError):
+                instruments.goniometer.stop()
+        if isinstance(error, InstrumentError):
+            raise InputError(str(error)) from error
+        raise
 
 
 @contextmanager
