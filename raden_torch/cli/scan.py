@@ -28,9 +28,7 @@ STOPPED = 3
 _FINE_STEP_DEG = 2.5
 
 
-@app.command(
-    epilog="Example: raden scan --config rig.toml --sample yakogai -o shell.csv (--check first)"
-)
+@app.command(epilog="Example: raden scan --config rig.toml --sample yakogai -o shell.csv")
 def scan(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="the measurement to write, .csv")
@@ -100,7 +98,9 @@ def scan(
     journal_path = None if output is None else session.journal_path(check_writable(output))
     position = None if stands_at is None else triple("--stands-at", stands_at)
     if resume and (white_every is not None or white_readings is not None):
-        raise InputError("--white-every and --white-readings are in the journal; leave them out")
+        raise InputError(
+            "--resume: --white-every and --white-readings are in the journal; leave them out"
+        )
     every_s = 600.0 if white_every is None else 60 * white_every
     references = session.References(every_s, 5 if white_readings is None else white_readings)
     chosen = (plan, step, incidence, receiving, tilt, readings, repeats, white_at_each or None)
