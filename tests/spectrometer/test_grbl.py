@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from raden_torch.capture.spectrometer.grbl import GrblGoniometer, parse_status
+from raden_torch.capture.spectrometer.grbl import GrblGoniometer
+from raden_torch.capture.spectrometer.grbl_line import parse_status
 from raden_torch.capture.spectrometer.ports import (
     ConnectionLostError,
     InstrumentError,
@@ -251,11 +252,11 @@ def test_stop_in_motion_keeps_the_position(live) -> None:
     controller = live(settings={22: "1"} | slow, time_scale=1.0)
     with opened(rig_at(controller.port)) as goniometer:
         goniometer.home()
-        goniometer._command("G0 A90", 1.0)
+        goniometer._line.command("G0 A90", 1.0)
         time.sleep(0.3)
         goniometer.stop()
         assert goniometer.homed
-        assert goniometer._status().state == "Idle"
+        assert goniometer._line.status().state == "Idle"
         assert 0 < goniometer.position().incidence_deg < 60
         assert controller.truth[3] == pytest.approx(goniometer.position().incidence_deg, abs=1e-3)
 
@@ -267,7 +268,7 @@ def test_stop_while_homing_resets_at_once(live) -> None:
         with pytest.raises(ConnectionLostError, match=r"no reply to '\$H'"):
             goniometer.home()
         goniometer.stop()
-        assert goniometer._status().state == "Alarm"
+        assert goniometer._line.status().state == "Alarm"
         assert not goniometer.homed
 
 
@@ -279,7 +280,7 @@ def test_a_program_that_was_killed_while_homing_leaves_a_usable_controller(live)
     goniometer.close()
     with opened(rig_at(controller.port, connect_timeout_s=1.0)) as goniometer:
         assert not goniometer.homed
-        assert goniometer._status().state == "Alarm"
+        assert goniometer._line.status().state == "Alarm"
 
 
 def test_a_controller_that_does_not_know_its_build(scripted) -> None:
@@ -303,10 +304,10 @@ def test_after_ctrl_c_the_next_reply_is_not_taken_for_an_older_one(live) -> None
     controller = live()
     with opened(rig_at(controller.port)) as goniometer:
         goniometer.home()
-        goniometer._line.send(b"M9\n")  # sent, and interrupted before its ok was read
-        goniometer._replies_due += 1
+        goniometer._line._line.send(b"M9\n")  # sent, and interrupted before its ok was read
+        goniometer._line._replies_due += 1
         with pytest.raises(InstrumentError, match=r"'G999' \(error 20"):
-            goniometer._command("G999", 1.0)
+            goniometer._line.command("G999", 1.0)
         goniometer.move(Position(5, 5, 5))  # the error was cleared with $X
 
 

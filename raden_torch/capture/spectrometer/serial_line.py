@@ -104,6 +104,8 @@ class SerialLine:
         dropped; within it, bytes that are not ASCII come as "\\ufffd", so that no number closes
         over a gap.
         """
+        if timeout_s < 0:
+            return None  # a deadline that has passed, whatever else may have come
         deadline = time.monotonic() + timeout_s
         while (line := self._take_line()) is None:
             left = deadline - time.monotonic()
