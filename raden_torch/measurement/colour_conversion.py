@@ -39,7 +39,7 @@ def as_xyz(measurement: BrdfMeasurement) -> BrdfMeasurement:
             xyz_to_rgb_matrix(measurement.metadata.white, _observer(measurement))
         )
         return _transformed(measurement, matrix, XYZ)
-    return _transformed(measurement, _bands_to_xyz_matrix(measurement), XYZ)
+    return _transformed(measurement, bands_to_xyz_matrix(measurement), XYZ)
 
 
 def as_rgb(measurement: BrdfMeasurement) -> BrdfMeasurement:
@@ -103,7 +103,7 @@ def _transformed(
     )
 
 
-def _bands_to_xyz_matrix(measurement: BrdfMeasurement) -> Floats:
+def bands_to_xyz_matrix(measurement: BrdfMeasurement) -> Floats:
     """`[3, C]`: XYZ on the 0…100 scale of a reflectance factor on the 0…100 scale.
 
     Bands are joined linearly and held constant beyond the first and last, then integrated with

@@ -105,7 +105,10 @@ class Goniometer(ABC):
 
     @abstractmethod
     def show(self, target: Target) -> None:
-        """Put the sample or the white reference in place, or shut the lamp."""
+        """Put the sample or the white reference in place, or shut the lamp.
+
+        Called before every reading: does nothing, and asks nobody, where it is so already.
+        """
 
     @abstractmethod
     def stop(self) -> None:

@@ -1,0 +1,247 @@
+"""What a laboratory keeps of a scan: coverage, drift, repeatability, reciprocity, faults."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from typing import cast
+
+import numpy as np
+
+from raden_torch.capture.spectrometer.journal import Contents
+from raden_torch.capture.spectrometer.plan import FixedPlan
+from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.capture.spectrometer.reduction import Reduced
+from raden_torch.measurement import BrdfMeasurement
+
+_DIGITS = 6
+
+
+@dataclass(frozen=True)
+class Reciprocity:
+    """f(a, r, t) against f with light and viewer in each other's place, in Y.
+
+    Attributes:
+        pairs: how many pairs were measured.
+        mean: |difference| over the pair's mean, weighted by that mean.
+        within_two_std: share of the pairs that differ by at most two standard deviations.
+    """
+
+    pairs: int
+    mean: float
+    within_two_std: float
+
+
+@dataclass(frozen=True)
+class LabReport:
+    """A scan in numbers; `str` says it in words.
+
+    Attributes:
+        sample, goniometer, colorimeter, white, plan: by name.
+        simulated: True where the instruments were.
+        started: date and time in UTC.
+        hours: from the first to the last reading, interruptions included.
+        sessions: how often the scan was begun or resumed.
+        cells: how many the plan wanted.
+        valid, over, under: how many have a value, were over, were under the range.
+        excluded: how many the rig could not reach, by reason.
+        readings: taken; lost: planned and not in the journal.
+        lamp_change: largest change of the white in Y between two series of one scan, relative to
+            the first; lamp_step: between one series and the next.
+        white_std, repeat_std: relative standard deviation in Y of single readings of the white, and
+            of a cell (the median over the cells; NaN without repeats).
+        median_std: of the cells' values in Y, relative, all terms but the white's certificate.
+        white_relative_std: the certificate's.
+        spectral: see `reduction.Reduced`.
+        reciprocity: the check.
+        travel_deg, as_given_deg: degrees of travel, summed over the axes, in the order of
+            measuring and in the order in which the cells were given.
+        faults: how many of each kind were got over, or ended a session.
+    """
+
+    sample: str
+    goniometer: str
+    colorimeter: str
+    white: str
+    plan: str
+    plan_hash: str
+    simulated: bool
+    started: str
+    hours: float
+    sessions: int
+    cells: int
+    valid: int
+    over: int
+    under: int
+    excluded: dict[str, int]
+    readings: int
+    lost: int
+    lamp_change: float
+    lamp_step: float
+    white_std: float
+    repeat_std: float
+    median_std: float
+    white_relative_std: float
+    spectral: bool
+    reciprocity: Reciprocity
+    travel_deg: float
+    as_given_deg: float
+    faults: dict[str, int]
+
+    def __str__(self) -> str:
+        return "\n".join(f"{name}: {text}" for name, text in self.entries())
+
+    def entries(self) -> tuple[tuple[str, str], ...]:
+        """Name and text, line by line: as they stand in the measurement's file, too."""
+        kind = " (simulated)" if self.simulated else ""
+        reciprocity, percent = self.reciprocity, _percent
+        excluded = sum(self.excluded.values())
+        reasons = "; ".join(f"{why}: {count}" for why, count in self.excluded.items())
+        ratio = self.as_given_deg / self.travel_deg if self.travel_deg else 1.0
+        return (
+            ("scan", f"{self.sample or 'unnamed sample'}, {self.plan}{kind}"),
+            ("plan hash", self.plan_hash),
+            ("goniometer", self.goniometer),
+            ("colorimeter", self.colorimeter),
+            ("started", f"{self.started}, {self.hours:.2f} h, sessions {self.sessions}"),
+            (
+                "coverage",
+                f"{self.valid} of {self.cells} cells ({percent(self.valid / self.cells)}); over "
+                f"range {self.over}, under range {self.under}, excluded {excluded}",
+            ),
+            ("excluded", reasons or "none"),
+            ("readings taken", f"{self.readings}, lost {self.lost}"),
+            (
+                "drift",
+                f"lamp {percent(self.lamp_change)} over the scan, at most "
+                f"{percent(self.lamp_step)} between two white series; corrected",
+            ),
+            (
+                "repeatability",
+                f"white {percent(self.white_std)} a reading; cells "
+                + (
+                    "read once"
+                    if np.isnan(self.repeat_std)
+                    else f"{percent(self.repeat_std)} a reading (median)"
+                ),
+            ),
+            (
+                "standard deviation",
+                f"{percent(self.median_std)} of Y (median); without the white's own "
+                f"{percent(self.white_relative_std)}",
+            ),
+            (
+                "reciprocity",
+                f"{reciprocity.pairs} pairs, broken by {percent(reciprocity.mean)} on average, "
+                f"{percent(reciprocity.within_two_std)} within 2 standard deviations"
+                if reciprocity.pairs
+                else "no pair was measured",
+            ),
+            ("white reference", self.white),
+            (
+                "ratio",
+                "wavelength by wavelength, then X, Y, Z for D65"
+                if self.spectral
+                else "of X, Y and Z: exact for a lamp with the spectrum of D65",
+            ),
+            (
+                "travel",
+                f"{self.travel_deg:.0f} deg, summed over the axes; in the order given "
+                f"{self.as_given_deg:.0f} ({ratio:.2g} times)",
+            ),
+            (
+                "faults",
+                ", ".join(f"{kind} {count}" for kind, count in sorted(self.faults.items()))
+                or "none",
+            ),
+        )
+
+
+def with_report(measurement: BrdfMeasurement, report: LabReport) -> BrdfMeasurement:
+    """The measurement with the report in its metadata, and so in its file."""
+    return replace(measurement, metadata=replace(measurement.metadata, other=report.entries()))
+
+
+def make_report(contents: Contents, reduced: Reduced) -> LabReport:
+    """Everything that `LabReport` lists."""
+    header, m = contents.header, reduced.measurement
+    plan = cast(FixedPlan, header.plan)
+    times = [t.time_s for t in contents.taken] + [r.time_s for r in contents.references]
+    level = reduced.white_level[:, 1]
+    y, std = m.values[m.valid, 1], cast(Floats, m.std)[m.valid, 1]
+    here = header.white.position
+    where = (
+        "read in every cell"
+        if header.white.at_cells
+        else f"read at incidence {here.incidence_deg:g}, receiving {here.receiving_deg:g}, tilt "
+        f"{here.tilt_deg:g}, where its XYZ reflectance factor is "
+        f"{', '.join(f'{value:.4g}' for value in header.white.xyz)}"
+    )
+    return LabReport(
+        sample=header.sample,
+        goniometer=header.goniometer,
+        colorimeter=header.colorimeter,
+        white=f"{header.white.name}, {where}",
+        plan=plan.name,
+        plan_hash=plan.hash,
+        simulated=header.simulated,
+        started=header.started,
+        hours=(max(times) - min(times)) / 3600,
+        sessions=sum(s.what in ("started", "resumed") for s in contents.sessions),
+        cells=len(m),
+        valid=int(m.valid.sum()),
+        over=int((reduced.over > 0).sum()),
+        under=int(((reduced.under > 0) & ~m.valid).sum()),
+        excluded=plan.why_excluded(),
+        readings=len(contents.taken),
+        lost=plan.steps - len(contents.taken),
+        lamp_change=float(np.ptp(level)),
+        lamp_step=float(abs(np.diff(level)).max(initial=0.0)),
+        white_std=float(reduced.white_single_std[1]),
+        repeat_std=float(reduced.repeat_std[1]),
+        median_std=float(np.median(std / np.maximum(abs(y), 1e-9))) if len(y) else np.nan,
+        white_relative_std=header.white.relative_std,
+        spectral=reduced.spectral,
+        reciprocity=check_reciprocity(m),
+        travel_deg=plan.travel_deg,
+        as_given_deg=plan.as_given_deg,
+        faults=dict(Counter(fault.kind for fault in contents.faults)),
+    )
+
+
+def check_reciprocity(measurement: BrdfMeasurement) -> Reciprocity:
+    """Compare every valid cell with its reciprocal one, where that was measured, too.
+
+    Light and viewer change places: (a, r, t) ↔ (r, a, −t) for r ≥ 0 and (−r, −a, t) for r < 0. Real
+    samples and rigs break the law; a large figure is a reason to check the rig's zeros.
+    """
+    m = measurement.select(measurement.valid) if measurement.valid.any() else None
+    if m is None:
+        return Reciprocity(0, float("nan"), float("nan"))
+    a, r, t = m.incidence_deg, m.receiving_deg, m.tilt_deg
+    ahead = r >= 0
+    swapped = np.stack([abs(r), np.where(ahead, a, -a), np.where(ahead, -t, t)], axis=1)
+    rows = {key: row for row, key in enumerate(_keys(np.stack([a, r, t], axis=1)))}
+    other = np.array([rows.get(key, -1) for key in _keys(swapped)])
+    here = np.flatnonzero(other > np.arange(len(m)))  # each pair once, none with itself
+    there = other[here]
+    y, std = m.values[:, 1], np.zeros(len(m)) if m.std is None else m.std[:, 1]
+    difference, size = abs(y[here] - y[there]), abs(y[here] + y[there]) / 2
+    if not len(here) or not size.sum() > 0:
+        return Reciprocity(0, float("nan"), float("nan"))
+    within = difference <= 2 * np.hypot(std[here], std[there]) + 1e-9 * size
+    return Reciprocity(len(here), float(difference.sum() / size.sum()), float(within.mean()))
+
+
+def now_utc() -> str:
+    """Date and time, to the second."""
+    return datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _keys(angles: Floats) -> list[tuple[float, ...]]:
+    return [tuple(row) for row in (np.round(angles, _DIGITS) + 0.0).tolist()]  # −0 becomes 0
+
+
+def _percent(share: float) -> str:
+    return "not known" if np.isnan(share) else f"{100 * share:.3g} %"
