@@ -214,15 +214,12 @@ def chunks_of(path: str | os.PathLike[str]) -> list[Chunks]:
             _, top, _, bottom = part.window
             count = -(-(bottom - top + 1) // part.lines) * part.across
             listed = int.from_bytes(header[b"chunkCount"][2], "little") if multi else count
-            if 8 * listed > os.fstat(file.fileno()).st_size:
+            left = os.fstat(file.fileno()).st_size - file.tell()
+            if 8 * listed > left or listed < count:
                 raise InputError(
                     f"{path}: truncated or damaged (the table of its pixels is not whole)"
                 )
             table = np.frombuffer(file.read(8 * listed), "<u8")
-            if len(table) != listed or listed < count:
-                raise InputError(
-                    f"{path}: truncated or damaged (the table of its pixels is not whole)"
-                )
             parts.append(replace(part, offsets=table[:count]))
     return parts
 
