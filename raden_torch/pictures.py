@@ -90,11 +90,12 @@ def render_gbuffer(
     channels: dict[str, str] | None = None,
     fov_deg: float | None = None,
     smooth_px: float = 0.0,
+    tolerance: float = 0.0,
 ) -> Tensor:
-    """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `gbuffer_file.read_gbuffer`."""
+    """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `read_gbuffer` and `shade`."""
     gbuffer = read_gbuffer(path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px)
     with torch.no_grad():
-        return shade(model, gbuffer, lights or SHAPES["sphere"].lights)
+        return shade(model, gbuffer, lights or SHAPES["sphere"].lights, tolerance=tolerance)
 
 
 def render_gbuffer_file(
@@ -107,12 +108,14 @@ def render_gbuffer_file(
     fov_deg: float | None = None,
     smooth_px: float = 0.0,
     exposure_ev: float | None = None,
+    tolerance: float = 0.0,
     memory: int | None = None,
     shown: Callable[[float], object] = lambda share: None,
 ) -> float:
     """Light an EXR G-buffer of any size into a scene-linear EXR; see `brdf.shade_file`.
 
     Args:
+        tolerance: as for `shade`.
         memory: bytes to use beside what the program takes; None reads the image at once.
         shown: called with the share of the image that is done.
 
@@ -124,7 +127,8 @@ def render_gbuffer_file(
     )
     stops = exposure_ev or 0.0
     lamps = lights or SHAPES["sphere"].lights
-    with closing(shade_file(model, scene, lamps, output, gain=2.0**stops)) as bands:
+    shaded = shade_file(model, scene, lamps, output, gain=2.0**stops, tolerance=tolerance)
+    with closing(shaded) as bands:
         for rows in bands:
             shown(rows / scene.size[0])
     return stops

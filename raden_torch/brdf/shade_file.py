@@ -20,11 +20,12 @@ def shade_file(
     output: str | os.PathLike[str],
     *,
     gain: float = 1.0,
+    tolerance: float = 0.0,
 ) -> Generator[int, None, None]:
     """Shade a file's bands one after the other; the image is the one that `shade` makes at once.
 
     Args:
-        model, lights: as for `shade`.
+        model, lights, tolerance: as for `shade`.
         scene: the G-buffer; its `bands` decide how much memory is taken.
         output: the scene-linear EXR to write, in half floats.
         gain: a factor on the image.
@@ -42,7 +43,7 @@ def shade_file(
             gbuffer = scene.rows(top, bottom)
             some = some or has_pixels(gbuffer)
             with torch.no_grad():
-                image = shade(model, gbuffer, lights)
+                image = shade(model, gbuffer, lights, tolerance=tolerance)
             write(in_halves(image if gain == 1 else image * gain))
             del gbuffer, image  # before the next band is read
             yield bottom

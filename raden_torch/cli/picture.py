@@ -56,6 +56,9 @@ def render(
         float | None, typer.Option(help="horizontal field of view of the EXR's camera, degrees")
     ] = None,
     smooth: Annotated[float, typer.Option(help="smooth the EXR's depth by so many pixels")] = 0.0,
+    tolerance: Annotated[
+        float, typer.Option(help="for an EXR: the radiance a pixel may be wrong by, to save time")
+    ] = 0.0,
     memory: Annotated[
         str,
         typer.Option(help="for an EXR lit into an .exr: shade it in bands that take no more"),
@@ -88,6 +91,7 @@ def render(
                 fov_deg=fov,
                 smooth_px=smooth,
                 exposure_ev=stops,
+                tolerance=tolerance,
                 memory=limit,
                 shown=shown,
             )
@@ -101,7 +105,13 @@ def render(
             image = render_shape(loaded, shape, lights, camera=eye, size=size, samples=samples)
         else:
             image = render_gbuffer(
-                loaded, gbuffer, lights, channels=named, fov_deg=fov, smooth_px=smooth
+                loaded,
+                gbuffer,
+                lights,
+                channels=named,
+                fov_deg=fov,
+                smooth_px=smooth,
+                tolerance=tolerance,
             )
         used = save_picture(image, output, loaded, exposure_ev=stops)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
