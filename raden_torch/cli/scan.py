@@ -17,7 +17,7 @@ from raden_torch.files import check_writable
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from raden_torch.capture.spectrometer.journal import JournalFile
+    from raden_torch.capture.spectrometer.journal import Contents, JournalFile
     from raden_torch.capture.spectrometer.plan import FixedPlan
     from raden_torch.capture.spectrometer.rig import Rig
     from raden_torch.capture.spectrometer.session import Instruments, References
@@ -59,6 +59,10 @@ def scan(
     ] = None,
     white_readings: Annotated[int | None, typer.Option(help="how many, of each; 5")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on with a scan's journal")] = False,
+    from_journal: Annotated[
+        Path | None,
+        typer.Option(help="write what a journal holds so far; no instrument is needed"),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="say what would be read and how long it takes")
     ] = False,
@@ -86,15 +90,23 @@ def scan(
 ) -> None:
     """Measure a sample with a goniospectrometer, from its plan to a measurement file."""
     from raden_torch.capture.spectrometer import session
+    from raden_torch.capture.spectrometer.journal import read_journal
 
-    if simulate == (config is not None):
-        raise InputError("scan: give --config RIG.toml, or --simulate")
+    if simulate + (config is not None) + (from_journal is not None) != 1:
+        raise InputError("scan: give --config RIG.toml, --simulate, or --from-journal")
     if output is None and not (check or dry_run):
         raise InputError("scan: name the measurement to write, as -o shell.csv")
     if yes and not check:
         raise InputError("--yes goes with --check")
     if resume and output is None:
         raise InputError("--resume: name the measurement whose scan goes on, as -o shell.csv")
+    if from_journal is not None:
+        if output is None or check or dry_run or resume:
+            raise InputError(
+                "--from-journal reads a file and writes another: it goes with -o alone"
+            )
+        _write(read_journal(from_journal), from_journal, check_writable(output))
+        return
     journal_path = None if output is None else session.journal_path(check_writable(output))
     position = None if stands_at is None else triple("--stands-at", stands_at)
     if resume and (white_every is not None or white_readings is not None):
@@ -142,7 +154,7 @@ def scan(
                 resume=resume,
             ) as journal:
                 _run(journal, instruments, position, operator, waiting)
-                _write(journal, output)
+                _write(journal.contents, journal.path, output)
 
 
 class _Operator:
@@ -304,7 +316,8 @@ def _say_resume(journal: JournalFile, why: str) -> None:
     typer.echo(f"raden: {' '.join(why.split())}", err=True)
     typer.echo(
         f"raden: {len(contents.taken)} of {contents.header.plan.steps} readings are in "
-        f"{journal.path}; go on with the same command and --resume",
+        f"{journal.path}; go on with the same command and --resume, or keep what there is by "
+        "--from-journal",
         err=True,
     )
 
@@ -340,15 +353,15 @@ def _progress(journal: JournalFile, operator: _Operator) -> Iterator[Callable[[i
         yield lambda taken, note: bar.update(task, completed=taken, note=note[:60])
 
 
-def _write(journal: JournalFile, output: Path) -> None:
+def _write(contents: Contents, journal: Path, output: Path) -> None:
     from raden_torch.capture.spectrometer.lab_report import make_report, with_report
     from raden_torch.capture.spectrometer.reduction import reduce_readings
 
     with working("reducing"):
-        reduced = reduce_readings(journal.contents)
-        report = make_report(journal.contents, reduced)
+        reduced = reduce_readings(contents)
+        report = make_report(contents, reduced)
         with_report(reduced.measurement, report).save(output)
-    print(f"{report}\nwrote {output}\njournal {journal.path}")
+    print(f"{report}\nwrote {output}\njournal {journal}")
 
 
 def _needed(plan: FixedPlan | None) -> FixedPlan:
