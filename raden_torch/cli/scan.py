@@ -103,7 +103,7 @@ def scan(
     if from_journal is not None:
         if output is None or check or dry_run or resume:
             raise InputError(
-                "--from-journal reads a file and writes another: it goes with -o alone"
+                "--from-journal reads one file and writes another: it goes with -o alone"
             )
         _write(read_journal(from_journal), from_journal, check_writable(output))
         return

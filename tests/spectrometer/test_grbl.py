@@ -298,8 +298,8 @@ def test_a_reply_to_a_killed_program_is_not_the_build_info(scripted) -> None:
     with opened(rig_at(controller.instrument.port, letters="XYZ")) as goniometer:
         assert goniometer.identity == "Grbl 1.1h.20190825"
         controller.replies["M8"] = b"error:20\r\n"
+        goniometer.home()
         with pytest.raises(InstrumentError, match="refused 'M8'"):  # by its own reply
-            goniometer.home()
             goniometer.show(Target.DARK)
 
 
