@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from raden_torch.capture.spectrometer.journal import Contents, JournalFile
-    from raden_torch.capture.spectrometer.plan import FixedPlan
     from raden_torch.capture.spectrometer.rig import Rig
-    from raden_torch.capture.spectrometer.session import Instruments, References
+    from raden_torch.capture.spectrometer.session import Instruments
 
 STOPPED = 3
 """The exit code of a scan that stopped before its end and can be resumed."""
@@ -91,6 +90,7 @@ def scan(
     """Measure a sample with a goniospectrometer, from its plan to a measurement file."""
     from raden_torch.capture.spectrometer import session
     from raden_torch.capture.spectrometer.journal import read_journal
+    from raden_torch.capture.spectrometer.plan_choice import PlanChoice
 
     if simulate + (config is not None) + (from_journal is not None) != 1:
         raise InputError("scan: give --config RIG.toml, --simulate, or --from-journal")
@@ -115,24 +115,27 @@ def scan(
         )
     every_s = 600.0 if white_every is None else 60 * white_every
     references = session.References(every_s, 5 if white_readings is None else white_readings)
-    chosen = (plan, step, incidence, receiving, tilt, readings, repeats, white_at_each or None)
+    choice = PlanChoice(
+        plan,
+        step,
+        _limits("incidence", incidence),
+        _limits("receiving", receiving),
+        _limits("tilt", tilt),
+        readings,
+        repeats,
+        white_at_each,
+        seed,
+    )
     scale = 1.0 if dry_run or not simulate else time_scale
     waiting = 1.0 / scale**0.5  # a simulated fault passes sooner; the computer is as slow as ever
     with _rig_of(config, specimen, scale, fault or [], seed) as rig:
-        wanted = None
-        if not check and not (resume and not any(option is not None for option in chosen)):
-            wanted = _plan_of(
-                rig,
-                plan,
-                step,
-                (incidence, receiving, tilt),
-                readings,
-                repeats,
-                white_at_each,
-                seed,
-            )
+        # a resumed scan has its plan in the journal
+        wanted = None if check or (resume and not choice.is_made) else choice.plan(rig.reachable)
         if dry_run:
-            _print_dry_run(rig, _needed(wanted), references, reading_seconds)
+            if wanted is None:
+                raise InputError("--dry-run says what a plan takes; leave out --check and --resume")
+            for line in session.forecast(rig, wanted, references, reading_s=reading_seconds):
+                print(line)
             return
         if simulate:
             references = session.References(every_s / scale, references.readings)
@@ -203,70 +206,6 @@ def _rig_of(
                 simulate_specimen(specimen, step_deg=_FINE_STEP_DEG).save(path)
         with simulated_rig(path, seed=seed, faults=chances, time_scale=time_scale) as simulated:
             yield simulated.rig
-
-
-def _plan_of(
-    rig: Rig,
-    plan: str | None,
-    step: float | None,
-    limits: tuple[str | None, str | None, str | None],
-    readings: int | None,
-    repeats: int | None,
-    white_at_each: bool,
-    seed: int,
-) -> FixedPlan:
-    """The cells that the options ask for, without those that the rig cannot reach, in order."""
-    from raden_torch.capture.spectrometer import plan as plans
-
-    kind = plan or "full"
-    if kind != "full" and (step is not None or any(limits)):
-        raise InputError(f"--step and limits of angles shape a grid; they do not go with {kind}")
-    if kind != "random" and readings is not None:
-        raise InputError("--readings goes with --plan random")
-    if kind == "full":
-        named = zip(("incidence", "receiving", "tilt"), limits, strict=True)
-        box = {name: _limits(name, text) for name, text in named if text is not None}
-        cells = plans.grid(step_deg=step or 5.0, **box)
-        name = f"grid of {step or 5.0:g} deg"
-    elif kind == "random":
-        count = plans.RANDOM_READINGS if readings is None else readings
-        cells, name = plans.random_cells(count, seed=seed), f"random, seed {seed}"
-    else:
-        cells, name = plans.list_cells(Path(kind)), Path(kind).name
-    return plans.make_plan(
-        cells,
-        name,
-        reachable=rig.reachable,
-        repeats=1 if repeats is None else repeats,
-        white_at_each=white_at_each,
-    )
-
-
-def _print_dry_run(rig: Rig, plan: FixedPlan, references: References, reading_s: float) -> None:
-    from raden_torch.capture.spectrometer import duration, session
-
-    white = session.white_of(rig, plan)
-    expected = duration.expected_duration(
-        plan,
-        rig.goniometer_settings,
-        white,
-        every_s=references.every_s,
-        readings=references.readings,
-        reading_s=reading_s,
-    )
-    print(f"{rig.name}: {plan.name}, {len(plan.cells)} cells, {plan.steps} readings")
-    for reason, count in plan.why_excluded().items():
-        print(f"excluded: {count} cells: {reason}")
-    print(
-        f"travel: {plan.travel_deg:.0f} deg summed over the axes; in the order given "
-        f"{plan.as_given_deg:.0f} ({plan.as_given_deg / max(plan.travel_deg, 1e-9):.2g} times)"
-    )
-    print(f"expected: {expected}")
-    print(
-        f"counted with {reading_s:g} s a reading, {duration.CHANGE_S:g} s a change of sample and "
-        "white, the rig's speed and settling time, dark and white "
-        f"{references.readings} times every {references.every_s / 60:g} min"
-    )
 
 
 def _print_check(rig: Rig, instruments: Instruments, *, move: bool) -> None:
@@ -364,13 +303,9 @@ def _write(contents: Contents, journal: Path, output: Path) -> None:
     print(f"{report}\nwrote {output}\njournal {journal}")
 
 
-def _needed(plan: FixedPlan | None) -> FixedPlan:
-    if plan is None:
-        raise InputError("--dry-run says what a plan takes; leave out --check and --resume")
-    return plan
-
-
-def _limits(name: str, text: str) -> tuple[float, float]:
+def _limits(name: str, text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
     low, colon, high = text.partition(":")
     if not colon:
         raise InputError(f"--{name} {text}: first and last as 0:70 were wanted, in degrees")
