@@ -253,10 +253,10 @@ def _run(
 def _say_resume(journal: JournalFile, why: str) -> None:
     contents = journal.contents
     typer.echo(f"raden: {' '.join(why.split())}", err=True)
+    partial = "" if not contents.taken else "; --from-journal writes what there is"
     typer.echo(
         f"raden: {len(contents.taken)} of {contents.header.plan.steps} readings are in "
-        f"{journal.path}; go on with the same command and --resume, or keep what there is by "
-        "--from-journal",
+        f"{journal.path}; go on with the same command and --resume{partial}",
         err=True,
     )
 

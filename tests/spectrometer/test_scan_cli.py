@@ -238,6 +238,7 @@ def test_wrong_options(options: tuple, message: str) -> None:
     ("options", "message"),
     [
         (("--step", "3"), "not a whole number of steps"),
+        (("--step", "0"), "step = 0 deg"),
         (("--incidence", "0-70"), "--incidence 0-70"),
         (("--plan", "random", "--step", "5"), "shape a grid"),
         (("--readings", "5"), "--readings goes with --plan random"),

@@ -57,7 +57,7 @@ _STEADY = Conditions(noise=0.0, dark_noise_cd_m2=0.0, lamp_drift=0.0)
 _REFERENCES = References(every_s=2.0, readings=2)
 _PATIENCE = Patience(attempts=20, first_wait_s=0.005)
 _AT_ONCE = 4  # they wait for their instruments most of the time
-_LONGEST_LIFE_S = 0.4  # of a process, before it is killed
+_LONGEST_LIFE_S = 0.5  # of a process, before it is killed
 
 
 @dataclass(frozen=True)
