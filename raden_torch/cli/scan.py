@@ -17,10 +17,9 @@ from raden_torch.files import check_writable
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from raden_torch.capture.spectrometer.journal import JournalFile
-    from raden_torch.capture.spectrometer.plan import FixedPlan
+    from raden_torch.capture.spectrometer.journal import Contents, JournalFile
     from raden_torch.capture.spectrometer.rig import Rig
-    from raden_torch.capture.spectrometer.session import Instruments, References
+    from raden_torch.capture.spectrometer.session import Instruments
 
 STOPPED = 3
 """The exit code of a scan that stopped before its end and can be resumed."""
@@ -59,6 +58,10 @@ def scan(
     ] = None,
     white_readings: Annotated[int | None, typer.Option(help="how many, of each; 5")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="go on with a scan's journal")] = False,
+    from_journal: Annotated[
+        Path | None,
+        typer.Option(help="write what a journal holds so far; no instrument is needed"),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="say what would be read and how long it takes")
     ] = False,
@@ -86,15 +89,24 @@ def scan(
 ) -> None:
     """Measure a sample with a goniospectrometer, from its plan to a measurement file."""
     from raden_torch.capture.spectrometer import session
+    from raden_torch.capture.spectrometer.journal import read_journal
+    from raden_torch.capture.spectrometer.plan_choice import PlanChoice
 
-    if simulate == (config is not None):
-        raise InputError("scan: give --config RIG.toml, or --simulate")
+    if simulate + (config is not None) + (from_journal is not None) != 1:
+        raise InputError("scan: give --config RIG.toml, --simulate, or --from-journal")
     if output is None and not (check or dry_run):
         raise InputError("scan: name the measurement to write, as -o shell.csv")
     if yes and not check:
         raise InputError("--yes goes with --check")
     if resume and output is None:
         raise InputError("--resume: name the measurement whose scan goes on, as -o shell.csv")
+    if from_journal is not None:
+        if output is None or check or dry_run or resume:
+            raise InputError(
+                "--from-journal reads one file and writes another: it goes with -o alone"
+            )
+        _write(read_journal(from_journal), from_journal, check_writable(output))
+        return
     journal_path = None if output is None else session.journal_path(check_writable(output))
     position = None if stands_at is None else triple("--stands-at", stands_at)
     if resume and (white_every is not None or white_readings is not None):
@@ -103,24 +115,27 @@ def scan(
         )
     every_s = 600.0 if white_every is None else 60 * white_every
     references = session.References(every_s, 5 if white_readings is None else white_readings)
-    chosen = (plan, step, incidence, receiving, tilt, readings, repeats, white_at_each or None)
+    choice = PlanChoice(
+        plan,
+        step,
+        _limits("incidence", incidence),
+        _limits("receiving", receiving),
+        _limits("tilt", tilt),
+        readings,
+        repeats,
+        white_at_each,
+        seed,
+    )
     scale = 1.0 if dry_run or not simulate else time_scale
     waiting = 1.0 / scale**0.5  # a simulated fault passes sooner; the computer is as slow as ever
     with _rig_of(config, specimen, scale, fault or [], seed) as rig:
-        wanted = None
-        if not check and not (resume and not any(option is not None for option in chosen)):
-            wanted = _plan_of(
-                rig,
-                plan,
-                step,
-                (incidence, receiving, tilt),
-                readings,
-                repeats,
-                white_at_each,
-                seed,
-            )
+        # a resumed scan has its plan in the journal
+        wanted = None if check or (resume and not choice.is_made) else choice.plan(rig.reachable)
         if dry_run:
-            _print_dry_run(rig, _needed(wanted), references, reading_seconds)
+            if wanted is None:
+                raise InputError("--dry-run says what a plan takes; leave out --check and --resume")
+            for line in session.forecast(rig, wanted, references, reading_s=reading_seconds):
+                print(line)
             return
         if simulate:
             references = session.References(every_s / scale, references.readings)
@@ -142,7 +157,7 @@ def scan(
                 resume=resume,
             ) as journal:
                 _run(journal, instruments, position, operator, waiting)
-                _write(journal, output)
+                _write(journal.contents, journal.path, output)
 
 
 class _Operator:
@@ -193,70 +208,6 @@ def _rig_of(
             yield simulated.rig
 
 
-def _plan_of(
-    rig: Rig,
-    plan: str | None,
-    step: float | None,
-    limits: tuple[str | None, str | None, str | None],
-    readings: int | None,
-    repeats: int | None,
-    white_at_each: bool,
-    seed: int,
-) -> FixedPlan:
-    """The cells that the options ask for, without those that the rig cannot reach, in order."""
-    from raden_torch.capture.spectrometer import plan as plans
-
-    kind = plan or "full"
-    if kind != "full" and (step is not None or any(limits)):
-        raise InputError(f"--step and limits of angles shape a grid; they do not go with {kind}")
-    if kind != "random" and readings is not None:
-        raise InputError("--readings goes with --plan random")
-    if kind == "full":
-        named = zip(("incidence", "receiving", "tilt"), limits, strict=True)
-        box = {name: _limits(name, text) for name, text in named if text is not None}
-        cells = plans.grid(step_deg=step or 5.0, **box)
-        name = f"grid of {step or 5.0:g} deg"
-    elif kind == "random":
-        count = plans.RANDOM_READINGS if readings is None else readings
-        cells, name = plans.random_cells(count, seed=seed), f"random, seed {seed}"
-    else:
-        cells, name = plans.list_cells(Path(kind)), Path(kind).name
-    return plans.make_plan(
-        cells,
-        name,
-        reachable=rig.reachable,
-        repeats=1 if repeats is None else repeats,
-        white_at_each=white_at_each,
-    )
-
-
-def _print_dry_run(rig: Rig, plan: FixedPlan, references: References, reading_s: float) -> None:
-    from raden_torch.capture.spectrometer import duration, session
-
-    white = session.white_of(rig, plan)
-    expected = duration.expected_duration(
-        plan,
-        rig.goniometer_settings,
-        white,
-        every_s=references.every_s,
-        readings=references.readings,
-        reading_s=reading_s,
-    )
-    print(f"{rig.name}: {plan.name}, {len(plan.cells)} cells, {plan.steps} readings")
-    for reason, count in plan.why_excluded().items():
-        print(f"excluded: {count} cells: {reason}")
-    print(
-        f"travel: {plan.travel_deg:.0f} deg summed over the axes; in the order given "
-        f"{plan.as_given_deg:.0f} ({plan.as_given_deg / max(plan.travel_deg, 1e-9):.2g} times)"
-    )
-    print(f"expected: {expected}")
-    print(
-        f"counted with {reading_s:g} s a reading, {duration.CHANGE_S:g} s a change of sample and "
-        "white, the rig's speed and settling time, dark and white "
-        f"{references.readings} times every {references.every_s / 60:g} min"
-    )
-
-
 def _print_check(rig: Rig, instruments: Instruments, *, move: bool) -> None:
     from raden_torch.capture.spectrometer import session
 
@@ -302,9 +253,10 @@ def _run(
 def _say_resume(journal: JournalFile, why: str) -> None:
     contents = journal.contents
     typer.echo(f"raden: {' '.join(why.split())}", err=True)
+    partial = "" if not contents.taken else "; --from-journal writes what there is"
     typer.echo(
         f"raden: {len(contents.taken)} of {contents.header.plan.steps} readings are in "
-        f"{journal.path}; go on with the same command and --resume",
+        f"{journal.path}; go on with the same command and --resume{partial}",
         err=True,
     )
 
@@ -340,24 +292,20 @@ def _progress(journal: JournalFile, operator: _Operator) -> Iterator[Callable[[i
         yield lambda taken, note: bar.update(task, completed=taken, note=note[:60])
 
 
-def _write(journal: JournalFile, output: Path) -> None:
+def _write(contents: Contents, journal: Path, output: Path) -> None:
     from raden_torch.capture.spectrometer.lab_report import make_report, with_report
     from raden_torch.capture.spectrometer.reduction import reduce_readings
 
     with working("reducing"):
-        reduced = reduce_readings(journal.contents)
-        report = make_report(journal.contents, reduced)
+        reduced = reduce_readings(contents)
+        report = make_report(contents, reduced)
         with_report(reduced.measurement, report).save(output)
-    print(f"{report}\nwrote {output}\njournal {journal.path}")
+    print(f"{report}\nwrote {output}\njournal {journal}")
 
 
-def _needed(plan: FixedPlan | None) -> FixedPlan:
-    if plan is None:
-        raise InputError("--dry-run says what a plan takes; leave out --check and --resume")
-    return plan
-
-
-def _limits(name: str, text: str) -> tuple[float, float]:
+def _limits(name: str, text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
     low, colon, high = text.partition(":")
     if not colon:
         raise InputError(f"--{name} {text}: first and last as 0:70 were wanted, in degrees")

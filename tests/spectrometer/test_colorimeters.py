@@ -106,6 +106,17 @@ def test_cs2000_conversation(cs2000: Cs2000Script) -> None:
     assert cs2000.got == [*expected, "RMTS,0"]
 
 
+@pytest.mark.parametrize("first", [b"OK00\r\n", b"ER02\r\n", b"OK00,CS-2000,2,1\xff0001\r\n"])
+def test_cs2000_a_reply_to_a_killed_program_is_not_its_identity(
+    cs2000: Cs2000Script, first: bytes
+) -> None:
+    """Rationale: a resumed scan must find the identity that it began with."""
+    cs2000.replies["IDDR"] = [first, b"OK00,CS-2000   ,2,10001234\r\n"]
+    meter = cs2000.open()
+    assert meter.identity == "Konica Minolta CS-2000A, serial number 10001234"
+    meter.close()
+
+
 def test_cs2000_without_the_spectrum(cs2000: Cs2000Script) -> None:
     meter = cs2000.open(spectrum=False)
     reading = meter.measure()
@@ -273,7 +284,11 @@ def test_cs100a_conversation(scripted_lines) -> None:
         meter.measure().xyz, 52.3 * np.array([0.3127 / 0.329, 1, 0.3583 / 0.329])
     )
     assert "absolute mode" in meter.status()
-    for reply, expected in ((b"ER10\r\n", Range.OVER), (b"OK13,0.01,.3,.3\r\n", Range.UNDER)):
+    for reply, expected in (
+        (b"ER10\r\n", Range.OVER),
+        (b"ER19\r\n", Range.OVER),
+        (b"OK13,0.01,.3,.3\r\n", Range.UNDER),
+    ):
         replies["MES"] = reply
         reading = meter.measure()
         assert reading.range is expected

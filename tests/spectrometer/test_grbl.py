@@ -291,6 +291,18 @@ def test_a_controller_that_does_not_know_its_build(scripted) -> None:
         goniometer.home()
 
 
+def test_a_reply_to_a_killed_program_is_not_the_build_info(scripted) -> None:
+    """Rationale: a resumed scan must find the identity, and the letters, that it began with."""
+    controller = Grbl11(scripted)
+    controller.once["$I"] = b"ok\r\n[VER:1.1h.20190825:]\r\n[OPT:V,15,128]\r\nok\r\n"
+    with opened(rig_at(controller.instrument.port, letters="XYZ")) as goniometer:
+        assert goniometer.identity == "Grbl 1.1h.20190825"
+        controller.replies["M8"] = b"error:20\r\n"
+        goniometer.home()
+        with pytest.raises(InstrumentError, match="refused 'M8'"):  # by its own reply
+            goniometer.show(Target.DARK)
+
+
 def test_a_greeting_that_comes_late(scripted) -> None:
     """The first boot: `error:7`, then the greeting, maybe after the first status report."""
     controller = Grbl11(scripted)
@@ -431,6 +443,21 @@ def test_idle_elsewhere_is_not_arrival(scripted, monkeypatch: pytest.MonkeyPatch
         controller.state = "Hold:0"
         with pytest.raises(MotionAlarmError, match="in state Hold:0"):
             goniometer.move(Position(40, 30, 20))
+
+
+@pytest.mark.parametrize("state", ["Door:0", "Hold:0", "Check", "Sleep"])
+def test_nothing_is_sent_to_wait_for_a_door_to_close(scripted, state: str) -> None:
+    """Rationale: what is queued behind an open door or a hold moves when nobody expects it."""
+    controller = Grbl11(scripted)
+    with opened(rig_at(controller.instrument.port, letters="XYZ")) as goniometer:
+        goniometer.home()
+        controller.state, before = state, list(controller.got)
+        with pytest.raises(MotionAlarmError, match=f"in state {state} before a move"):
+            goniometer.move(Position(40, 30, 20))
+        assert controller.got == before
+        assert not goniometer.homed
+        goniometer.home()  # a reset first
+        goniometer.move(Position(40, 30, 20))
 
 
 def test_a_garbled_ok_is_made_up_for_by_arrival(scripted) -> None:

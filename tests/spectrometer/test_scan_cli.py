@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import pty
 import re
@@ -9,8 +11,10 @@ import signal
 import subprocess
 import sys
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -23,7 +27,7 @@ from raden_torch.capture.spectrometer.simulation import (
     SimulatedRig,
     simulated_rig,
 )
-from raden_torch.cli import app
+from raden_torch.cli import app, main
 from raden_torch.errors import InputError
 
 COMMAND = [sys.executable, "-W", "error", "-m", "raden_torch.cli"]
@@ -31,13 +35,19 @@ ENVIRONMENT = os.environ | {"OMP_NUM_THREADS": "1"}
 
 
 def raden(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env=ENVIRONMENT,
-    )
+    """The command as a shell runs it, but in this process: nothing is imported again."""
+    out, err = io.StringIO(), io.StringIO()
+    words = ["raden", *map(str, arguments)]
+    with (
+        mock.patch.object(sys, "argv", words),
+        mock.patch.object(warnings, "showwarning"),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+        pytest.raises(SystemExit) as ended,
+    ):
+        main()
+    code = int(ended.value.code or 0)
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
 
 def refusal(done: subprocess.CompletedProcess[str]) -> str:
@@ -142,11 +152,18 @@ def test_a_signal_then_resume(rig: SimulatedRig, tmp_path: Path, name: str) -> N
         assert "--resume" in said
         assert contents.sessions[-1].what == "interrupted"
         assert contents.torn_bytes == 0
+    partial = tmp_path / "so_far.csv"
+    done = raden("scan", "--from-journal", tmp_path / "shell.journal.jsonl", "-o", partial)
+    assert done.returncode == 0, done.stderr
+    assert f"{before} of 180: the scan is not finished" in done.stdout
+    so_far = rt.load_measurement(partial)
     done = raden("scan", "--config", rig.config_path, "-o", output, "--resume")
     assert done.returncode == 0, done.stderr
     assert "sessions 2" in done.stdout
     m, truth = rt.load_measurement(output), rt.simulate_specimen("yakogai", step_deg=70.0)
     assert m.valid.sum() == 60
+    assert so_far.valid.sum() == -(-before // 3)  # cells, of three readings each
+    np.testing.assert_allclose(so_far.values[so_far.valid], m.values[so_far.valid], rtol=1e-6)
     corner = m.grid().values[::2, ::2, ::2]
     seen = ~np.isnan(corner)
     np.testing.assert_allclose(corner[seen], truth.grid().values[seen], rtol=2e-3)
@@ -197,7 +214,9 @@ def test_a_journal_is_not_overwritten_nor_mixed(rig: SimulatedRig, tmp_path: Pat
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ((), "give --config RIG.toml, or --simulate"),
+        ((), "give --config RIG.toml, --simulate, or --from-journal"),
+        (("--simulate", "--from-journal", "x.jsonl"), "give --config RIG.toml, --simulate, or"),
+        (("--from-journal", "x.jsonl", "--resume", "-o", "x.csv"), "goes with -o alone"),
         (("--simulate",), "name the measurement to write"),
         (("--simulate", "--check", "--resume"), "--resume: name the measurement"),
         (("--simulate", "-o", "x.csv", "--yes"), "--yes goes with --check"),
@@ -219,6 +238,7 @@ def test_wrong_options(options: tuple, message: str) -> None:
     ("options", "message"),
     [
         (("--step", "3"), "not a whole number of steps"),
+        (("--step", "0"), "step = 0 deg"),
         (("--incidence", "0-70"), "--incidence 0-70"),
         (("--plan", "random", "--step", "5"), "shape a grid"),
         (("--readings", "5"), "--readings goes with --plan random"),

@@ -1,8 +1,8 @@
 """Konica Minolta CS-100A: a tristimulus colorimeter.
 
-Source of the protocol: the instrument's manual, and public programs for it. Written without an
-instrument at hand. 4800 baud, 7 data bits, even parity, 2 stop bits; it drops commands that come
-within 0.1 s of the last reply.
+Source of the protocol: a summary of the instrument's commands, and public programs for it. Written
+without its manual and without an instrument at hand. 4800 baud, 7 data bits, even parity, 2 stop
+bits; it drops commands that come within 0.1 s of the last reply.
 """
 
 from __future__ import annotations
@@ -26,13 +26,12 @@ from raden_torch.capture.spectrometer.serial_line import LineSettings, SerialLin
 _PAUSE_S = 0.1
 _ATTEMPTS = 3
 _LARGEST = 1e7  # cd/m²
-_OVER = ("ER10", "OK12", "ER12")
+_OVER = ("ER10", "OK12", "ER12", "ER19")
 _UNDER = ("OK11", "OK13")
 _ERRORS = {
     "ER00": "it does not know the command",
     "ER01": "a setting is wrong",
     "ER11": "a value in its memory is wrong",
-    "ER19": "its display is out of range",
     "ER20": "its memory is faulty",
     "ER30": "its battery is empty",
 }

@@ -1,8 +1,8 @@
 """Konica Minolta CS-2000 and CS-2000A: spectroradiometers, 380…780 nm.
 
-Source of the protocol: the maker's communication specification (technical note KMSE-TI-08002).
-Written without an instrument at hand. Public programs for it agree on the commands used here; the
-meaning of the fields of `IDDR` and `MEDR,0,0,1` is theirs.
+Source of the protocol: a summary of the maker's communication specification, and public programs
+for the instrument, which agree on the commands used here; the meaning of the fields of `IDDR` and
+`MEDR,0,0,1` is theirs. Written without the specification itself and without an instrument at hand.
 """
 
 from __future__ import annotations
@@ -131,12 +131,17 @@ class Cs2000(Colorimeter):
         self.identity = self._read_identity()
 
     def _read_identity(self) -> str:
-        try:
-            fields = self._fields("IDDR")
-        except ConnectionLostError:
-            raise
-        except InstrumentError:
-            fields = []
+        fields: list[str] = []
+        for _ in range(_ATTEMPTS):  # a bare OK00 was for a command of a program that was killed
+            try:
+                fields = self._fields("IDDR")
+            except ConnectionLostError:
+                raise
+            except InstrumentError:  # still measuring for it, where the OK00 was taken for RMTS's
+                self._ask("MEAS,0", _CANCEL_S)
+                continue
+            if len(fields) >= 3 and all(map(str.isascii, fields)):
+                break
         name, variation, number, *_ = [*(field.strip() for field in fields), "", "", ""]
         model = {"1": "CS-2000", "2": "CS-2000A"}.get(variation, name or "CS-2000")
         return f"Konica Minolta {model}" + (f", serial number {number}" if number else "")

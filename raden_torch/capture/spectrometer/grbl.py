@@ -96,7 +96,7 @@ class GrblGoniometer(Goniometer):
             raise InputError(f"the goniometer cannot go there: {unreachable}")
         self._check_homed()
         target = self._motor_target(angles)
-        now = self._motor_position(self._line.status())
+        now = self._motor_position(self._at_rest())
         step = self._settings.approach_deg
         # where the last move would come from above, first go below: backlash is then taken up
         before = [
@@ -193,6 +193,17 @@ class GrblGoniometer(Goniometer):
                     f"{self._line.name}: in state {status.state}, {away:.2f} degrees from its "
                     "target; look at the stage, then home it"
                 )
+
+    def _at_rest(self) -> Status:
+        """A line sent in any other state would wait there, and be obeyed when nobody expects it."""
+        status = self._line.status()
+        if status.base_state != "Idle":
+            self._line.position_lost = True
+            raise MotionAlarmError(
+                f"{self._line.name}: in state {status.state} before a move, not Idle; see to the "
+                "controller, then home it"
+            )
+        return status
 
     def _wait_idle(self, timeout_s: float) -> Status:
         deadline = time.monotonic() + timeout_s

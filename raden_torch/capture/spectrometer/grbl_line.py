@@ -1,7 +1,8 @@
 """The conversation with a GRBL 1.1 or grblHAL controller.
 
-Source of the protocol: GRBL 1.1's interface and commands pages and grblHAL's core wiki; checked
-against a session recorded with grblHAL. No goniometer with such a controller was at hand.
+Source of the protocol: the public notes on GRBL 1.1's interface and on grblHAL, and a session
+recorded with grblHAL. Tried against the two firmwares themselves in their projects' simulators
+(grblHAL 1.1f of 2026-08-17 with six axes, GRBL 1.1h); no goniometer with one was at hand.
 
 What the protocol hides from a casual reader, and this driver is built around:
 
@@ -311,12 +312,17 @@ class GrblLine:
 
     def _build_info(self) -> list[str]:
         """The lines of `$I`; none where the controller does not know it."""
-        try:
-            return self.command("$I", self._settings.reply_timeout_s)
-        except (ConnectionLostError, MotionAlarmError):
-            raise
-        except InstrumentError:
-            return []
+        for _ in range(_ATTEMPTS):
+            try:
+                said = self.command("$I", self._settings.reply_timeout_s)
+            except (ConnectionLostError, MotionAlarmError):
+                raise
+            except InstrumentError:
+                said = []
+            if any(line.startswith("[VER:") for line in said):
+                return said
+            self._line.drain(_QUIET_S)  # the reply may have been to a line of a killed program
+        return []
 
     def _first_status(self) -> Status:
         """A report with positions; asks a few times, since the work offset comes in some only."""

@@ -46,7 +46,9 @@ class LabReport:
         cells: how many the plan wanted.
         valid, over, under: how many have a value, were over, were under the range.
         excluded: how many the rig could not reach, by reason.
-        readings: taken; lost: planned and not in the journal.
+        readings: taken; lost: planned and not in the journal, where the scan is `finished`.
+        planned: how many readings the plan has.
+        finished: False where the scan can still be resumed.
         lamp_change: largest change of the white in Y between two series of one scan, relative to
             the first; lamp_step: between one series and the next.
         white_std, repeat_std: relative standard deviation in Y of single readings of the white, and
@@ -77,6 +79,8 @@ class LabReport:
     excluded: dict[str, int]
     readings: int
     lost: int
+    planned: int
+    finished: bool
     lamp_change: float
     lamp_step: float
     white_std: float
@@ -111,7 +115,12 @@ class LabReport:
                 f"range {self.over}, under range {self.under}, excluded {excluded}",
             ),
             ("excluded", reasons or "none"),
-            ("readings taken", f"{self.readings}, lost {self.lost}"),
+            (
+                "readings taken",
+                f"{self.readings}, lost {self.lost}"
+                if self.finished
+                else f"{self.readings} of {self.planned}: the scan is not finished",
+            ),
             (
                 "drift",
                 f"lamp {percent(self.lamp_change)} over the scan, at most "
@@ -195,7 +204,9 @@ def make_report(contents: Contents, reduced: Reduced) -> LabReport:
         under=int(((reduced.under > 0) & ~m.valid).sum()),
         excluded=plan.why_excluded(),
         readings=len(contents.taken),
-        lost=plan.steps - len(contents.taken),
+        lost=plan.steps - len(contents.taken) if contents.finished else 0,
+        planned=plan.steps,
+        finished=contents.finished,
         lamp_change=float(np.ptp(level)),
         lamp_step=float(abs(np.diff(level)).max(initial=0.0)),
         white_std=float(reduced.white_single_std[1]),

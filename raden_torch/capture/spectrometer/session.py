@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
+from raden_torch.capture.spectrometer import duration
 from raden_torch.capture.spectrometer.journal import Header, JournalFile
 from raden_torch.capture.spectrometer.lab_report import now_utc
 from raden_torch.capture.spectrometer.plan import FixedPlan, Plan
@@ -143,6 +144,37 @@ def open_journal(
         journal.close()
         raise
     return journal
+
+
+def forecast(
+    rig: Rig, plan: FixedPlan, references: References, *, reading_s: float = duration.READING_S
+) -> Iterator[str]:
+    """What a plan reads, how far it travels and how long it takes; no instrument is needed.
+
+    Raises:
+        InputError: the white reference is not known where it is needed, or cannot be reached.
+    """
+    expected = duration.expected_duration(
+        plan,
+        rig.goniometer_settings,
+        white_of(rig, plan),
+        every_s=references.every_s,
+        readings=references.readings,
+        reading_s=reading_s,
+    )
+    yield f"{rig.name}: {plan.name}, {len(plan.cells)} cells, {plan.steps} readings"
+    for reason, count in plan.why_excluded().items():
+        yield f"excluded: {count} cells: {reason}"
+    yield (
+        f"travel: {plan.travel_deg:.0f} deg summed over the axes; in the order given "
+        f"{plan.as_given_deg:.0f} ({plan.as_given_deg / max(plan.travel_deg, 1e-9):.2g} times)"
+    )
+    yield f"expected: {expected}"
+    yield (
+        f"counted with {reading_s:g} s a reading, {duration.CHANGE_S:g} s a change of sample and "
+        "white, the rig's speed and settling time, dark and white "
+        f"{references.readings} times every {references.every_s / 60:g} min"
+    )
 
 
 def check_rig(rig: Rig, instruments: Instruments, *, move: bool) -> Iterator[str]:
