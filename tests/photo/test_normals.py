@@ -233,7 +233,7 @@ def test_invalid_pixels_have_no_normal() -> None:
 
 
 BAD = {
-    "two lamps": (lambda p, d: (p[:2], d[:2], {}), "2 lamps: at least 3"),
+    "two lamps": (lambda p, d: (p[:2], d[:2], {}), "lamps: 2; at least 3"),
     "lamps in a plane": (lambda p, d: (p, d * torch.tensor([1.0, 0, 1]), {}), "in one plane"),
     "a lamp too few": (lambda p, d: (p, d[:-1], {}), "12 photographs"),
     "a zero direction": (lambda p, d: (p, d * (torch.arange(12) > 0)[:, None], {}), "zero"),
