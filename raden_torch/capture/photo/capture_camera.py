@@ -109,7 +109,7 @@ def _views(
     if len(views) < enough:
         raise InputError(
             f"{len(views)} of {len(paths)} photographs show the board; at least {enough} were "
-            f"wanted. {'; '.join(wrong[:3])}".strip()
+            f"wanted. {wrong[0] if wrong else ''}".strip()
         )
     for message in wrong:
         warnings.warn(f"left out: {message}", stacklevel=3)
