@@ -15,6 +15,7 @@ from torch import Tensor
 
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.errors import InputError
+from raden_torch.images.mask import read_mask_pixels
 from raden_torch.images.pixels import draw_caption, read_pixels, write_pixels
 
 Green = Literal["opengl", "directx"]
@@ -169,19 +170,8 @@ def decoded_normals(coded: Tensor, levels: int | None) -> Tensor:
 
 
 def read_mask(path: str | os.PathLike[str]) -> Tensor:
-    """Read a mask `[1, 1, H, W]`, 0…1: a grey picture, the alpha of one that has it, or the
-    brightest channel.
-
-    Raises:
-        InputError: the mask is empty: nothing would be relit.
-    """
-    pixels = read_pixels(path, colour=False)
-    if pixels.ndim == 3:
-        pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.max(axis=2)
-    mask = (_tensor(pixels[..., None]) / (_levels(pixels) or 1)).clamp(0, 1)
-    if not (mask > 0).any():
-        raise InputError(f"{path}: the mask is empty (all black): nothing would be relit")
-    return mask
+    """Read a mask `[1, 1, H, W]`, 0…1, as `read_mask_pixels` does."""
+    return torch.from_numpy(read_mask_pixels(path))[None, None]
 
 
 def _levels(pixels: NDArray[Any]) -> int | None:

@@ -8,7 +8,6 @@ import warnings
 from raden_torch.cli import (  # noqa: F401 - importing them adds their subcommands
     capture,
     model,
-    photometry,
     picture,
     scan,
 )

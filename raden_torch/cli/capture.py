@@ -1,4 +1,4 @@
-"""From photographs: calibrate, colour."""
+"""From photographs: capture calibrate, colour, lights, normals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from raden_torch.cli.common import app, working
+from raden_torch.cli.common import app, progress, working
 from raden_torch.errors import InputError
 
 capture = typer.Typer(
@@ -29,6 +29,27 @@ class Coded(str, Enum):
     auto = "auto"
     srgb = "srgb"
     linear = "linear"
+
+
+class Shape(str, Enum):
+    """Of a matt reference."""
+
+    sphere = "sphere"
+    card = "card"
+
+
+class Solver(str, Enum):
+    """How normals are solved."""
+
+    robust = "robust"
+    least_squares = "least-squares"
+    selection = "selection"
+
+
+CodedOption = Annotated[
+    Coded,
+    typer.Option(help="what stored values mean; auto: whole numbers sRGB, floats and raw linear"),
+]
 
 
 @capture.callback()
@@ -61,11 +82,11 @@ def calibrate(
 ) -> None:
     """Calibrate a camera on photographs of a ChArUco board; where does the board lie?"""
     from raden_torch.capture.photo.board import Board
-    from raden_torch.capture.photo.steps import calibrate_photographs
+    from raden_torch.capture.photo.capture_camera import capture_camera
 
     columns, rows = _squares(squares)
     board = Board(columns, rows, square, marker, dictionary, legacy)
-    print(calibrate_photographs(photos, board, output, camera=camera, picture=picture))
+    print(capture_camera(photos, board, output, camera=camera, picture=picture))
 
 
 @capture.command(epilog="Example: raden capture colour chart.tif --coded linear -o colour.json")
@@ -81,9 +102,7 @@ def colour(
         str | None,
         typer.Option(help='of the chart, where it is not found: pixels as "x,y x,y x,y x,y"'),
     ] = None,
-    coded: Annotated[
-        Coded, typer.Option(help="what the stored values are; auto: sRGB, mosaics linear")
-    ] = Coded.auto,
+    coded: CodedOption = Coded.auto,
     pattern: Annotated[
         str | None, typer.Option(help="of a raw Bayer mosaic: RGGB, BGGR, GRBG, GBRG")
     ] = None,
@@ -108,7 +127,8 @@ def colour(
     """Fit the map from a camera's RGB to XYZ on photographs of a colour chart."""
     import numpy as np
 
-    from raden_torch.capture.photo.steps import Development, colour_of_photographs
+    from raden_torch.capture.photo.capture_colour import capture_colour
+    from raden_torch.capture.photo.development import Development
 
     how = Development(
         coded.value,
@@ -122,10 +142,141 @@ def colour(
     )
     marked = None if corners is None else np.array(_points(corners))
     with working("looking for the chart"):
-        text = colour_of_photographs(
+        text = capture_colour(
             photos, output, development=how, edition=edition, corners=marked, picture=picture
         )
     print(text)
+
+
+@capture.command(
+    epilog="Example: raden capture lights chrome1.png chrome2.png chrome3.png --mask ball.png "
+    "-o lights.json"
+)
+def lights(
+    photos: Annotated[list[Path], typer.Argument(help="a chrome ball under each lamp, in order")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="the .json file to write")],
+    mask: Annotated[
+        list[Path] | None,
+        typer.Option(help="white on the ball; once a ball (two or more place near lamps)"),
+    ] = None,
+    camera: Annotated[
+        Path | None, typer.Option(help="of `raden capture calibrate`; else the camera is far away")
+    ] = None,
+    ball_radius: Annotated[
+        float | None, typer.Option(help="of the balls in mm, for positions; with --camera")
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(help="photographs of a matt grey reference, as 'grey.*.png' (in quotes)"),
+    ] = None,
+    reference_mask: Annotated[Path | None, typer.Option(help="white on the reference")] = None,
+    reference_shape: Annotated[
+        Shape, typer.Option(help="a sphere, or a card that faces the camera")
+    ] = Shape.sphere,
+    fit_response: Annotated[
+        bool, typer.Option(help="also fit the camera's response, on a reference sphere")
+    ] = False,
+    coded: CodedOption = Coded.auto,
+    picture: Picture = None,
+) -> None:
+    """Find the directions to the lamps (or their places) in photographs of a chrome ball."""
+    from raden_torch.capture.photo.capture_lights import Reference, capture_lights
+    from raden_torch.capture.photo.checking_picture import picture_path
+    from raden_torch.capture.photo.lamps import write_lamps
+    from raden_torch.capture.photo.result_file import check_result_path
+    from raden_torch.plots.found import draw_lamps
+    from raden_torch.plots.sheet import save_plot
+
+    check_result_path(output)
+    shown = picture_path(picture, output)
+    if (reference is None) != (reference_mask is None):
+        raise InputError("--reference and --reference-mask go together; give both or neither")
+    matt = None
+    if reference is not None and reference_mask is not None:
+        matt = Reference(reference, reference_mask, reference_shape.value, fit_response)
+    elif fit_response:
+        raise InputError("--fit-response: a reference sphere is needed; give --reference")
+    with progress("finding the lamps") as share_done:
+        found = capture_lights(
+            photos,
+            mask or [],
+            camera=camera,
+            ball_radius_mm=ball_radius,
+            reference=matt,
+            coded=coded.value,
+            progress=share_done,
+        )
+    write_lamps(found.lamps, output, balls=found.balls, made_from=photos)
+    save_plot(draw_lamps(found.photos, found.balls, found.highlights, found.lamps), shown)
+    print(found.lamps)
+    print(f"wrote {output}\nwrote {shown} (look at it)")
+
+
+@capture.command(
+    epilog="Example: raden capture normals box1.png box2.png box3.png box4.png "
+    "--lights lights.json --mask box.png -o box"
+)
+def normals(
+    photos: Annotated[list[Path], typer.Argument(help="the object under each lamp, in order")],
+    lights: Annotated[Path, typer.Option(help="what `raden capture lights` wrote")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="the folder for the maps")],
+    mask: Annotated[Path | None, typer.Option(help="white on the object; else all")] = None,
+    method: Annotated[Solver, typer.Option(help="against shadows and highlights")] = Solver.robust,
+    refine_intensity: Annotated[
+        bool, typer.Option(help="also fit the lamps' brightness, known to about 10 %")
+    ] = False,
+    exponent: Annotated[
+        float | None, typer.Option(help="of the response; else what the lights file says")
+    ] = None,
+    shadow: Annotated[
+        float, typer.Option(help="darker than this share of the third brightest is shadow")
+    ] = 0.1,
+    plane_z: Annotated[
+        float, typer.Option(help="near lamps: the object's plane, in the lights file's unit")
+    ] = 0.0,
+    keep_order: Annotated[
+        bool, typer.Option(help="do not stop where another order of the lamps fits better")
+    ] = False,
+    coded: CodedOption = Coded.auto,
+) -> None:
+    """Solve normals, albedo and confidence from photographs under known lamps."""
+    from raden_torch.capture.photo.capture_normals import capture_normals
+    from raden_torch.capture.photo.normals_file import write_normals
+    from raden_torch.plots.found import draw_normals
+    from raden_torch.plots.sheet import save_plot
+
+    if output.exists() and not output.is_dir():
+        raise InputError(f"{output}: is a file; name a folder")
+    with progress("solving normals") as share_done:
+        found = capture_normals(
+            photos,
+            lights,
+            mask,
+            method=method.value,
+            refine_intensity=refine_intensity,
+            exponent=exponent,
+            shadow=shadow,
+            plane_z=plane_z,
+            keep_order=keep_order,
+            coded=coded.value,
+            progress=share_done,
+        )
+    output.mkdir(parents=True, exist_ok=True)
+    written = write_normals(
+        found.surface,
+        output,
+        found.lamps,
+        photos,
+        method=method.value,
+        exponent=found.exponent,
+        order=found.order,
+        notes=found.notes,
+    )
+    picture = output / "found.png"
+    save_plot(draw_normals(found.surface, found.lamps, photos, found.mask), picture)
+    for path in written:
+        print(f"wrote {path}")
+    print(f"wrote {picture} (look at it)")
 
 
 def _squares(text: str) -> tuple[int, int]:

@@ -42,12 +42,17 @@ def draw_lamps(
         ax.plot(x, y, "+", color=_BALL)
         reach = [row[b] for row in highlights]
         ax.scatter([h.x_px for h in reach], [h.y_px for h in reach], s=14, c=_LAMP, marker="x")
+        middle = np.mean([(h.x_px, h.y_px) for h in reach], axis=0)
         for k, h in enumerate(reach):
+            away = np.array([h.x_px, h.y_px]) - middle  # outwards, lest the numbers lie on others
+            away = away / max(float(np.hypot(*away)), 1e-6)
             ax.annotate(
                 str(k + 1),
                 (h.x_px, h.y_px),
-                xytext=(5, 3),
+                xytext=(10 * away[0], -10 * away[1]),
                 textcoords="offset points",
+                ha="center",
+                va="center",
                 fontsize=SMALL,
                 color="#ffe08a",
                 path_effects=[withStroke(linewidth=2.5, foreground="black")],

@@ -11,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
+from raden_torch.capture.photo.capture_lights import Reference, capture_lights
 from raden_torch.capture.photo.highlight import find_highlight
 from raden_torch.capture.photo.lamps import (
+    Lamps,
     lamp_from_board,
     lamps_from_balls,
     read_lamps,
@@ -159,6 +161,57 @@ def test_a_board_places_a_near_lamp(noise: float) -> None:
         lamp_from_board(points, normal, radiance * 0)
     with pytest.raises(InputError, match="in a line"):
         lamp_from_board(points[:20], normal, radiance[:20])
+
+
+def test_a_plane_through_a_lens() -> None:
+    """Rationale: OpenCV projects the plane's points on to the pixels that they belong to."""
+    matrix = np.array([[300.0, 0, 150], [0, 310, 110], [0, 0, 1]])
+    lens = np.array([-0.25, 0.08, 0.001, -0.002, 0.0])
+    lamps = Lamps(np.eye(3), np.ones(3), matrix=matrix, distortion=lens)
+    points = lamps.plane((220, 300), -500.0)
+    assert points[2] == pytest.approx(-500.0)
+    opencv = (points.reshape(3, -1) * [[1], [-1], [-1]]).T
+    pixels = cv2.projectPoints(opencv, np.zeros(3), np.zeros(3), matrix, lens)[0].reshape(-1, 2)
+    v, u = np.mgrid[:220, :300]
+    assert np.abs(pixels - np.stack([u, v], -1).reshape(-1, 2)).max() < 0.02
+
+
+@pytest.fixture
+def balls_under_coloured_lamps(tmp_path: Path) -> tuple[list[Path], Reference, np.ndarray]:
+    """Simulated: a mirror and a matt ball, linear in 16 bits, under six lamps of other colours."""
+    tint = 1 - 0.4 * np.random.default_rng(3).random((6, 3))
+    turn = np.arange(6) * np.pi / 3
+    to_lamp = np.stack([0.5 * np.cos(turn), 0.5 * np.sin(turn), np.full(6, 0.75**0.5)], 1)
+    ball = ball_from_mask(disc(160, 120, 80))
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    normal = np.nan_to_num(ball.surface(u, v)[1])
+    photographs = []
+    for k, lamp in enumerate(to_lamp):
+        mirror = chrome(ball, lamp, near=False)
+        matt = 0.8 * np.clip(normal @ lamp, 0, 1)[..., None] * tint[k]
+        for name, linear in (("c", mirror), ("g", matt)):
+            stored = np.rint(65535 * np.clip(linear, 0, 1)).astype(np.uint16)
+            cv2.imwrite(str(tmp_path / f"{name}{k}.png"), stored[..., ::-1])
+        photographs.append(tmp_path / f"c{k}.png")
+    mask = tmp_path / "mask.png"
+    cv2.imwrite(str(mask), 255 * (disc(160, 120, 80) > 127).astype(np.uint8))
+    return photographs, Reference(str(tmp_path / "g?.png"), mask), tint
+
+
+def test_the_colours_of_lamps(balls_under_coloured_lamps, tmp_path: Path) -> None:
+    photographs, grey, tint = balls_under_coloured_lamps
+    lamps = capture_lights(photographs, [grey.mask], reference=grey, coded="linear").lamps
+    assert lamps.intensity == pytest.approx(tint.mean(1) / tint.mean(), abs=0.01)
+    expected = tint / tint.mean(0) * (tint.mean() / tint.mean(1))[:, None]
+    assert lamps.tint == pytest.approx(expected, abs=0.01)
+    write_lamps(lamps, tmp_path / "lights.json")
+    assert read_lamps(tmp_path / "lights.json").tint == pytest.approx(lamps.tint, abs=1e-5)
+
+
+def test_linear_files_read_as_srgb_are_noticed_on_a_grey_ball(balls_under_coloured_lamps) -> None:
+    photographs, grey, _ = balls_under_coloured_lamps
+    with pytest.warns(UserWarning, match=r"g0\.png: .* not linear light: --coded linear"):
+        capture_lights(photographs, [grey.mask], reference=grey)
 
 
 def test_lights_come_back_from_their_file(tmp_path: Path) -> None:

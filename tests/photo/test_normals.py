@@ -233,7 +233,7 @@ def test_invalid_pixels_have_no_normal() -> None:
 
 
 BAD = {
-    "two lamps": (lambda p, d: (p[:2], d[:2], {}), "2 lamps: at least 3"),
+    "two lamps": (lambda p, d: (p[:2], d[:2], {}), "lamps: 2; at least 3"),
     "lamps in a plane": (lambda p, d: (p, d * torch.tensor([1.0, 0, 1]), {}), "in one plane"),
     "a lamp too few": (lambda p, d: (p, d[:-1], {}), "12 photographs"),
     "a zero direction": (lambda p, d: (p, d * (torch.arange(12) > 0)[:, None], {}), "zero"),
@@ -309,21 +309,25 @@ def test_the_real_grey_sphere_with_nothing_fitted(real) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_the_real_grey_sphere_with_its_response(real, side: str) -> None:
-    """The response is fitted on one half and tested on the other."""
+@pytest.mark.parametrize(
+    ("side", "limit"), [("left", 3.4), ("right", 3.4), ("top", 2.4), ("bottom", 5.1)]
+)
+def test_the_real_grey_sphere_with_its_response(real, side: str, limit: float) -> None:
+    """The response is fitted on one half and tested on the other. The top half, which faces the
+    lamps least evenly, is wrong by 5 degrees whatever is fitted on the bottom."""
     folder, lamps = real
     images, mask = stack(folder, "gray")
     lights = torch.from_numpy(lamps.direction)
     ball = ball_from_mask(mask[0, 0].numpy())
     truth, inside = sphere_normals(ball, images.shape[2:])
     left = torch.arange(images.shape[3]) < ball.x_px
-    half = inside & (left if side == "left" else ~left)
+    top = torch.arange(images.shape[2])[:, None] < ball.y_px
+    half = inside & {"left": left, "right": ~left, "top": top, "bottom": ~top}[side]
     fit = fit_response(images, lights, truth, half)
-    assert fit.exponent == pytest.approx(1.1, abs=0.05)
+    assert fit.exponent == pytest.approx(1.1, abs=0.07)
     other = inside & ~half
     found = solve_normals(images, lights, other.float(), exponent=fit.exponent)
-    assert errors(found.normal, truth, other).median() < 3.4
+    assert errors(found.normal, truth, other).median() < limit
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 
 import cv2
@@ -168,6 +169,16 @@ def test_eight_bits_in_sixteen_are_noticed(tmp_path: Path) -> None:
     path = save(tmp_path / "a.png", ramp(255).astype(np.uint16) * 257)
     with pytest.warns(UserWarning, match=r"a\.png: a 16-bit file with 8-bit values"):
         read_linear(path)
+
+
+def test_a_png_that_says_it_is_linear(tmp_path: Path) -> None:
+    values = ramp(255)
+    plain = save(tmp_path / "a.png", values).read_bytes()
+    chunk = b"gAMA" + (100000).to_bytes(4, "big")
+    chunk = (4).to_bytes(4, "big") + chunk + zlib.crc32(chunk).to_bytes(4, "big")
+    (tmp_path / "b.png").write_bytes(plain[:33] + chunk + plain[33:])  # after IHDR
+    assert read_linear(tmp_path / "b.png").linear == pytest.approx(values / 255, abs=1e-6)
+    assert read_linear(tmp_path / "b.png", coded="srgb").linear.mean() < values.mean() / 255 - 0.1
 
 
 def test_low_bytes_are_noticed(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ class Board:
                 f"board with markers of {self.marker_m:g} m in squares of {self.square_m:g} m; "
                 "0 < marker < square was wanted"
             )
-        known = [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
+        known = [n for n in dir(cv2.aruco) if n.startswith("DICT_") and n == n.upper()]
         if self.dictionary not in known:
             raise InputError(f"dictionary {self.dictionary!r}; one of {', '.join(known)} wanted")
         markers = self.columns * self.rows // 2
@@ -231,7 +231,7 @@ def _why_not(grey: NDArray[np.uint8], board: Board) -> str:
     if _edges_px(grey) > _BLURRED_PX:
         return (
             f"no board found, and blurred: its sharpest edges are {_edges_px(grey):.0f} pixels "
-            f"wide; {wanted} was wanted: focus, hold still, add light"
+            f"wide: focus, hold still, add light; or another board than {wanted}"
         )
     return f"no board; {wanted} was wanted, whole or nearly so, sharp and lit"
 

@@ -24,13 +24,19 @@ from raden_torch.capture.photo.photo_set import (
     read_set,
 )
 from raden_torch.capture.photo.photograph import Coding
-from raden_torch.capture.photo.photometric_stereo import check_lights
+from raden_torch.capture.photo.photometric_stereo import MIN_LAMPS, check_lights
 from raden_torch.capture.photo.reference import (
     fit_response,
     relative_intensities,
     sphere_normals,
 )
 from raden_torch.errors import InputError
+
+_LIKELY = (0.7, 1.45)
+"""Exponents of a response that a camera may have; sRGB taken as linear has about 2.2, linear taken
+as sRGB 0.5."""
+_DIM = 0.02
+"""A channel darker than this share of the brightest says nothing of the lamps' colour."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +88,11 @@ def capture_lights(
         InputError: as for what it is made of; the message names the file.
     """
     done = progress or (lambda share: None)
+    if 0 < len(photographs) < MIN_LAMPS:
+        raise InputError(
+            f"{photographs[-1]}: photographs of the ball: {len(photographs)}, one a lamp; at least "
+            f"{MIN_LAMPS} were wanted"
+        )
     photos = read_set(photographs, coded=coded, progress=lambda share: done(0.5 * share))
     lens = _Lens.of(camera, ball_radius_mm, photos.size)
     linear = [lens.straight(image.movedim(0, -1).numpy()) for image in photos.images]
@@ -99,7 +110,8 @@ def capture_lights(
         for image, path in zip(linear, photos.paths, strict=True)
     ]
     lamps = lamps_from_balls(balls, seen, unit="px" if camera is None else "mm")
-    check_lights(torch.from_numpy(lamps.direction))
+    lamps = replace(lamps, distortion=lens.distortion)
+    check_lights(torch.from_numpy(lamps.direction), f"{photographs[0]} … {photographs[-1]}")
     _warn_of_twins(lamps)
     done(0.6)
     if reference is not None:
@@ -171,17 +183,35 @@ def _with_reference(
     lights = torch.from_numpy(lamps.direction).float()
     exponent = 1.0
     notes = list(lamps.notes)
-    if reference.fit_response:
+    if reference.shape == "sphere":
         fit = fit_response(photos.images, lights, normal, inside, saturated=photos.saturated)
-        exponent = fit.exponent
-        notes.append(str(fit))
+        if reference.fit_response:
+            exponent = fit.exponent
+            notes.append(str(fit))
+        elif not _LIKELY[0] < fit.exponent < _LIKELY[1]:
+            warnings.warn(
+                f"{paths[0]}: with {fit}; this is not linear light: --coded linear or srgb, "
+                "whichever was not given, or --fit-response",
+                stacklevel=3,
+            )
     done(0.9)
-    intensity = relative_intensities(
-        photos.images, lights, normal, inside, saturated=photos.saturated, exponent=exponent
-    )
+
+    def brightness(images: torch.Tensor) -> NDArray[Any]:
+        found = relative_intensities(
+            images, lights, normal, inside, saturated=photos.saturated, exponent=exponent
+        )
+        return found.double().numpy()
+
+    intensity = brightness(photos.images)
+    colour = photos.images[:, :, inside[0, 0]].mean(dim=(0, 2))
+    tint = None
+    if bool((colour > _DIM * colour.max()).all()):
+        each = [brightness(photos.images[:, c : c + 1]) for c in range(3)]
+        tint = np.stack(each, 1) / intensity[:, None]
     return replace(
         lamps,
-        intensity=intensity.double().numpy(),
+        intensity=intensity,
+        tint=tint,
         exponent=exponent,
         notes=tuple(notes),
     )

@@ -81,7 +81,7 @@ def capture_normals(
             f"{lights}: {len(lamps)} lamps, but {len(photographs)} photographs; one a lamp, in "
             "the lamps' order, was wanted"
         )
-    check_lights(torch.from_numpy(lamps.direction))
+    check_lights(torch.from_numpy(lamps.direction), lights)
     _warn_of_names(photographs, lamps, lights)
     photos = read_set(photographs, coded=coded, progress=lambda share: done(0.4 * share))
     inside = np.ones(photos.size, np.float32) if mask is None else read_mask(mask, photos.size)
@@ -89,6 +89,9 @@ def capture_normals(
     check_exposure(photos, inside_map)
     power = lamps.exponent if exponent is None else exponent
     intensity = torch.from_numpy(lamps.intensity).float()
+    if lamps.tint is not None:  # as if all lamps had one colour
+        tint = torch.from_numpy(lamps.tint).float() ** (1 / power)
+        photos.images.div_(tint[:, :, None, None])
     order = _checked_order(photos, lamps, inside_map, intensity, power, keep_order)
     surface = solve_normals(
         photos.images,
@@ -158,7 +161,7 @@ def _warn_of_names(photographs: Sequence[Path], lamps: Lamps, lights: Path) -> N
 
 def _odd_lamps(surface: SurfaceNormals, photographs: Sequence[Path]) -> list[str]:
     residual = surface.lamp_residual
-    usual = float(residual.median())
+    usual = float(residual.nanmedian())
     return [
         f"{photographs[k].name}: it disagrees with the others {float(r) / usual:.1f} times as much "
         "as usual; did its lamp, the camera or the object move?"

@@ -42,6 +42,9 @@ class Lamps:
         names: the photographs, in order.
         notes: what a person should know of these lamps.
         matrix: `[3, 3]` of the camera (pixels, x right, y down) where there was one.
+        distortion: of its lens, as OpenCV has it.
+        tint: `[K, 3]` RGB of each lamp over its intensity, relative to the mean of all lamps, as a
+            reference gave them; None where nothing is known.
     """
 
     direction: Floats
@@ -53,6 +56,8 @@ class Lamps:
     names: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     matrix: Floats | None = None
+    distortion: Floats | None = None
+    tint: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.direction)
@@ -85,7 +90,12 @@ class Lamps:
                 f"plane z = {z:g} {self.unit}: the camera is at 0 and looks along -z; give the "
                 "object's distance as a negative number"
             )
-        ray = np.linalg.inv(self.matrix) @ np.stack([u, v, np.ones_like(u)]).reshape(3, -1)
+        import cv2
+
+        lens = np.zeros(5) if self.distortion is None else self.distortion
+        pixels = np.stack([u, v], -1).reshape(-1, 1, 2)
+        straight = cv2.undistortPoints(pixels, self.matrix, lens).reshape(-1, 2).T
+        ray = np.concatenate([straight, np.ones((1, straight.shape[1]))])
         return np.asarray((ray / ray[2] * [[-z], [z], [z]]).reshape(3, *size))
 
     def towards(self, points: Floats) -> Floats:
@@ -232,6 +242,7 @@ def write_lamps(
             "direction_to_lamp": np.round(lamps.direction[k], 6),
             "intensity": round(float(lamps.intensity[k]), 5),
         }
+        | ({} if lamps.tint is None else {"tint_rgb": np.round(lamps.tint[k], 5)})
         | ({} if lamps.position is None else {f"position_{lamps.unit}": lamps.position[k]})
         for k, name in enumerate(lamps.names or [str(k) for k in range(len(lamps))])
     ]
@@ -250,6 +261,7 @@ def write_lamps(
         "unit": lamps.unit,
         "response_exponent": round(lamps.exponent, 4),
         **({} if lamps.matrix is None else {"camera_matrix_px": lamps.matrix}),
+        **({} if lamps.distortion is None else {"camera_distortion": lamps.distortion}),
         "lamps": each,
         "balls": found,
         "notes": list(lamps.notes),
@@ -277,7 +289,10 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
     intensity = numbers(path, columns, "intensity", (-1,))
     if (length == 0).any() or (intensity <= 0).any():
         raise InputError(f"{path}: a lamp has no direction or no light; positive ones were wanted")
-    key, matrix = f"position_{unit}", "camera_matrix_px"
+    key, matrix, lens = f"position_{unit}", "camera_matrix_px", "camera_distortion"
+    tint = numbers(path, columns, "tint_rgb", (-1, 3)) if "tint_rgb" in columns else None
+    if tint is not None and (tint <= 0).any():
+        raise InputError(f"{path}: a lamp's tint_rgb is not positive; colours above 0 were wanted")
     return Lamps(
         direction / length,
         intensity,
@@ -285,5 +300,7 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
         unit=unit,
         exponent=float(numbers(path, found, "response_exponent", ())),
         matrix=numbers(path, found, matrix, (3, 3)) if matrix in found else None,
+        distortion=numbers(path, found, lens, (-1,)) if lens in found else None,
+        tint=tint,
         names=tuple(str(row.get("photograph", "")) for row in rows),
     )

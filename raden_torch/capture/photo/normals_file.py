@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,7 @@ def write_normals(
                 "photograph": path.name,
                 "direction_to_lamp": np.round(lamps.direction[k], 6),
                 "intensity": round(float(found.intensity[k]), 5),
-                "relative_residual": round(float(found.lamp_residual[k]), 5),
+                "relative_residual": _finite(float(found.lamp_residual[k])),
             }
             for k, path in enumerate(photographs)
         ],
@@ -84,6 +85,11 @@ def write_normals(
     }
     write_result(result, KIND, content, made_from=photographs)
     return [result, *paths.values()]
+
+
+def _finite(residual: float) -> float | None:
+    """None for a lamp that lights no pixel of the object."""
+    return round(residual, 5) if math.isfinite(residual) else None
 
 
 def _median(m: Tensor, there: np.ndarray[Any, np.dtype[np.bool_]]) -> float:

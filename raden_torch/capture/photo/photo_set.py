@@ -10,19 +10,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from raden_torch.capture.photo.photograph import Coding, check_same_size, read_linear
+from raden_torch.capture.photo.photograph import Coding, Photograph, check_same_size, read_linear
 from raden_torch.errors import InputError
-from raden_torch.images.pixels import read_pixels
+from raden_torch.images.mask import read_mask_pixels
 
 MAX_VALUES = 2**31
 """The most values of a set that are read: 8 GiB."""
 
 _TOO_BRIGHT = 0.1
+_USELESS = 0.8
 _BLACK = 0.02
 
 
@@ -71,6 +71,11 @@ def read_set(
     for k, path in enumerate(paths):
         photo = first if k == 0 else read_linear(path, coded=coded)
         check_same_size([first, photo])
+        if photo.bits != first.bits:
+            raise InputError(
+                f"{path}: {_bits(photo)}, but {paths[0]} has {_bits(first)}; photographs saved "
+                "alike were wanted (16-bit data saved as 8-bit lose half of each value)"
+            )
         images[k] = torch.from_numpy(photo.linear).movedim(-1, 0)
         saturated[k, 0] = torch.from_numpy(photo.saturated)
         if progress is not None:
@@ -78,25 +83,15 @@ def read_set(
     return PhotoSet(images, saturated, tuple(paths))
 
 
-def read_mask(path: str | os.PathLike[str], size: tuple[int, int] | None = None) -> NDArray[Any]:
-    """`[H, W]` float32, 0…1: a grey picture, an alpha channel, or the brightest channel.
+def read_mask(path: str | os.PathLike[str], size: tuple[int, int]) -> NDArray[Any]:
+    """`[H, W]` float32, 0…1, as `read_mask_pixels` does; some of it above one half.
 
     Raises:
-        InputError: not an image, empty, or of another size than the photographs.
+        InputError: as for `read_mask_pixels`, and a mask that is nowhere above one half.
     """
-    pixels = read_pixels(path, colour=False)
-    if pixels.ndim == 3:
-        pixels = pixels[..., 3] if pixels.shape[2] == 4 else pixels.max(axis=2)
-    top = 1.0 if pixels.dtype.kind == "f" else float(np.iinfo(pixels.dtype).max)
-    mask = np.clip(pixels.astype(np.float32) / top, 0, 1)
-    if size is not None and mask.shape != size:
-        (h, w), (height, width) = mask.shape, size
-        raise InputError(
-            f"{path}: {w} x {h} pixels, but the photographs have {width} x {height}; a mask of "
-            "their size was wanted"
-        )
+    mask = read_mask_pixels(path, size)
     if not (mask > 0.5).any():
-        raise InputError(f"{path}: the mask is empty; white where the object is was wanted")
+        raise InputError(f"{path}: the mask is nowhere above half grey; white on the object wanted")
     return mask
 
 
@@ -108,6 +103,10 @@ def numbered_files(pattern: str) -> list[Path]:
     return sorted(found, key=lambda p: [int(n) for n in re.findall(r"\d+", p.name)] or [0])
 
 
+def _bits(photo: Photograph) -> str:
+    return "floats" if photo.bits is None else f"{photo.bits} bits a value"
+
+
 def check_exposure(photos: PhotoSet, mask: Tensor) -> None:
     """Raise InputError, naming the file, where photographs are over-exposed or black in the mask.
 
@@ -116,11 +115,18 @@ def check_exposure(photos: PhotoSet, mask: Tensor) -> None:
     """
     inside = mask[0, 0] > 0.5
     clipped = photos.saturated[:, 0, inside]
+    share = clipped.float().mean(dim=1)
+    if float(share.max()) > _USELESS:
+        worst = int(share.argmax())
+        raise InputError(
+            f"{photos.paths[worst]}: over-exposed: {100 * share[worst]:.0f} % of the object is "
+            "saturated in it; expose shorter, or leave out this photograph and its lamp"
+        )
     lost = float((clipped.sum(dim=0) > max(0, len(clipped) - 3)).float().mean())
     if lost > _TOO_BRIGHT:
-        worst = int(clipped.float().mean(dim=1).argmax())
+        worst = int(share.argmax())
         raise InputError(
-            f"{photos.paths[worst]}: over-exposed: {100 * clipped[worst].float().mean():.0f} % of "
+            f"{photos.paths[worst]}: over-exposed: {100 * share[worst]:.0f} % of "
             f"the object is saturated in it, and {100 * lost:.0f} % of the object in all but two "
             "photographs; expose shorter"
         )

@@ -79,8 +79,8 @@ def read_linear(
 
     Args:
         coded: what the stored values mean. "linear"; "srgb"; a response as `recover_response` gives
-            it, `[levels]` or `[levels, 3]`; "auto": linear for mosaics and floats, sRGB for the
-            rest.
+            it, `[levels]` or `[levels, 3]`; "auto": linear for mosaics, floats and PNG whose
+            gAMA is 1, sRGB for the rest.
         pattern: "RGGB", "BGGR", "GRBG" or "GBRG" for a mosaic; without it the file's CFA tag is
             taken. "none" says that the one channel is grey.
         keep_mosaic: leave the mosaic `[H, W, 1]` as it is.
@@ -105,6 +105,8 @@ def read_linear(
         if stored.ndim == 3 and stored.shape[2] != 3:  # with alpha, or palettes
             stored = read_pixels(path, colour=True)
     _check_whole(path, stored)
+    if isinstance(coded, str) and coded == "auto" and said.get("is_linear"):
+        coded = "linear"
     mosaic = _pattern(path, stored, pattern, said.get("pattern"))
     linear, rounding, top = _decoded(path, stored, coded, white_level or said.get("white"), mosaic)
     full = stored.reshape(*stored.shape[:2], -1) >= (np.inf if top is None else top)
@@ -279,6 +281,7 @@ def _metadata(path: Path) -> dict[str, Any]:
             warnings.simplefilter("ignore")  # damaged tags, large images: not this reader's matter
             with Image.open(path) as image:
                 said["mode"] = image.mode
+                said["is_linear"] = image.info.get("gamma") == 1  # PNG's gAMA
                 exif = image.getexif()
                 inner = dict(exif) | dict(exif.get_ifd(0x8769))
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):

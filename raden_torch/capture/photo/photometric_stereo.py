@@ -155,19 +155,23 @@ def solve_normals(
     )
 
 
-def check_lights(lights: Tensor) -> None:
-    """Raise InputError unless `[K, 3]` directions (or their means) determine a normal."""
+def check_lights(lights: Tensor, name: object = "lights") -> None:
+    """Raise InputError unless `[K, 3]` directions (or their means) determine a normal.
+
+    Args:
+        name: of the file or argument they come from, for messages.
+    """
     count = len(lights)
     if count < MIN_LAMPS:
-        raise InputError(f"{count} lamps: at least {MIN_LAMPS}, not in one line, were wanted")
+        raise InputError(f"{name}: lamps: {count}; at least {MIN_LAMPS}, not in a row, wanted")
     directions = lights.detach().double().cpu()
     length = directions.norm(dim=1, keepdim=True)
     if not bool(torch.isfinite(directions).all()) or bool((length == 0).any()):
-        raise InputError("lights: a direction is zero or not finite; vectors to the lamps wanted")
+        raise InputError(f"{name}: a direction is zero or not finite; vectors to the lamps wanted")
     spread = float(torch.linalg.svdvals(directions / length)[-1]) / count**0.5
     if spread < MIN_SPREAD:
         raise InputError(
-            f"the lamps lie in one plane with the object (spread {spread:.3f}, at least "
+            f"{name}: the lamps lie in one plane with the object (spread {spread:.3f}, at least "
             f"{MIN_SPREAD} was wanted); move one of them out of the row"
         )
 

@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from raden_torch.capture.photo.board import Board
+from raden_torch.capture.photo.capture_colour import capture_colour
+from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.mosaic import colour_masks
-from raden_torch.capture.photo.steps import Development, colour_of_photographs
 from raden_torch.errors import InputError
 
 BOARD = ("--squares", "5x7", "--square", "0.04", "--marker", "0.02")
@@ -80,7 +81,7 @@ def test_colour(chart_scene: Callable, tmp_path: Path) -> None:
     assert result["mean_delta_e_2000"] < 1.5
     assert cv2.imread(str(tmp_path / "colour.png")).shape[1] == 640
     # the same file taken as sRGB: said to be not linear
-    text = colour_of_photographs([tmp_path / "a.tiff"], output)
+    text = capture_colour([tmp_path / "a.tiff"], output)
     assert "the photograph is not linear" in text
 
 
@@ -104,7 +105,7 @@ def test_colour_of_a_stack_of_mosaics(chart_scene: Callable, tmp_path: Path) -> 
     assert "median deviation" in done.stdout
     assert json.loads((tmp_path / "colour.json").read_text())["mean_delta_e_2000"] < 2
     with pytest.raises(InputError, match=r"0\.25\.tiff: no exposure time in its EXIF"):
-        colour_of_photographs(files, tmp_path / "c.json", development=Development(pattern="BGGR"))
+        capture_colour(files, tmp_path / "c.json", development=Development(pattern="BGGR"))
 
 
 def test_colour_without_a_chart(tmp_path: Path) -> None:
@@ -119,9 +120,9 @@ def test_colour_without_a_chart(tmp_path: Path) -> None:
         ("a.png", Development(exposures_s=(1.0, 2.0)), "1 photographs and 2 exposure times"),
     ):
         with pytest.raises(InputError, match=message):
-            colour_of_photographs([tmp_path / name], tmp_path / "c.json", development=how)
+            capture_colour([tmp_path / name], tmp_path / "c.json", development=how)
     with pytest.raises(InputError, match="2014 or 2005"):
-        colour_of_photographs([tmp_path / "a.png"], tmp_path / "c.json", edition="1999")
+        capture_colour([tmp_path / "a.png"], tmp_path / "c.json", edition="1999")
     with pytest.raises(InputError, match=r"results are \.json files"):
-        colour_of_photographs([tmp_path / "a.png"], tmp_path / "c.toml")
+        capture_colour([tmp_path / "a.png"], tmp_path / "c.toml")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.jpg"]
