@@ -188,6 +188,7 @@ def backends(model: RadenBrdf, compiled: bool = False) -> dict[tuple[str, str], 
     for precision in PRECISIONS:
         found["eager", precision] = _no_grad(model, kernel.OFF)
     if compiled:
+        torch.compiler.reset()  # else the models before this one count as its recompilations
         found["compiled", "float32"] = _no_grad(torch.compile(model), kernel.OFF)
     if kernel.LEVELS:
         found[kernel.LEVELS[-1], "float16"] = _no_grad(model, kernel.LEVELS[-1])
