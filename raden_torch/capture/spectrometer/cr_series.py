@@ -14,7 +14,6 @@ import time
 import numpy as np
 
 from raden_torch.capture.spectrometer.ports import (
-    Colorimeter,
     ColorReading,
     ConnectionLostError,
     Floats,
@@ -22,7 +21,8 @@ from raden_torch.capture.spectrometer.ports import (
     Range,
 )
 from raden_torch.capture.spectrometer.rig import ColorimeterSettings
-from raden_torch.capture.spectrometer.serial_line import LineSettings, SerialLine, reopen
+from raden_torch.capture.spectrometer.serial_colorimeter import SerialColorimeter
+from raden_torch.capture.spectrometer.serial_line import LineSettings
 
 _LONGEST_MEASUREMENT_S = 120.0
 _LARGEST = 1e9  # cd/m²
@@ -32,7 +32,7 @@ _TOO_BRIGHT = ("-306",)
 _COMMAND_PAUSE_S = 0.05  # the instrument drops a command that follows the last one sooner
 
 
-class CrSeries(Colorimeter):
+class CrSeries(SerialColorimeter):
     """`Colorimeter` over a CR instrument, with its own choice of exposure.
 
     Raises:
@@ -40,14 +40,8 @@ class CrSeries(Colorimeter):
     """
 
     def __init__(self, settings: ColorimeterSettings) -> None:
-        self._settings = settings
-        self._line = SerialLine(LineSettings(settings.port, settings.baud or 115200))
         self._last_command = 0.0
-        try:
-            self._connect()
-        except BaseException:
-            self._line.close()
-            raise
+        super().__init__(settings, LineSettings(settings.port, settings.baud or 115200))
 
     def measure(self) -> ColorReading:
         code, text = self._ask("M", _LONGEST_MEASUREMENT_S)
@@ -61,13 +55,6 @@ class CrSeries(Colorimeter):
 
     def status(self) -> str:
         return f"{self.identity}: {self._value('RS ExposureMode')} exposure"
-
-    def reconnect(self) -> None:
-        reopen(self._line, self._settings.connect_timeout_s)
-        self._connect()
-
-    def close(self) -> None:
-        self._line.close()
 
     # -- the conversation ----------------------------------------------------------------------
 
@@ -124,10 +111,6 @@ class CrSeries(Colorimeter):
             if kind in ("OK", "ER") and about == command:
                 return code.strip(), text
         raise ConnectionLostError(f"{self._name}: no reply to {command!r} within {timeout_s:g} s")
-
-    @property
-    def _name(self) -> str:
-        return self._settings.port
 
 
 def _plausible(value: float) -> bool:

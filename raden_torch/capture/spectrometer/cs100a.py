@@ -13,7 +13,6 @@ import time
 import numpy as np
 
 from raden_torch.capture.spectrometer.ports import (
-    Colorimeter,
     ColorReading,
     ConnectionLostError,
     Floats,
@@ -21,7 +20,8 @@ from raden_torch.capture.spectrometer.ports import (
     Range,
 )
 from raden_torch.capture.spectrometer.rig import ColorimeterSettings
-from raden_torch.capture.spectrometer.serial_line import LineSettings, SerialLine, reopen
+from raden_torch.capture.spectrometer.serial_colorimeter import SerialColorimeter
+from raden_torch.capture.spectrometer.serial_line import LineSettings
 
 _PAUSE_S = 0.1
 _ATTEMPTS = 3
@@ -37,7 +37,7 @@ _ERRORS = {
 }
 
 
-class Cs100a(Colorimeter):
+class Cs100a(SerialColorimeter):
     """`Colorimeter` over a CS-100A in absolute mode.
 
     Raises:
@@ -45,15 +45,9 @@ class Cs100a(Colorimeter):
     """
 
     def __init__(self, settings: ColorimeterSettings) -> None:
-        self._settings = settings
-        self._line = SerialLine(
-            LineSettings(settings.port, settings.baud or 4800, 7, "E", stop_bits=2)
+        super().__init__(
+            settings, LineSettings(settings.port, settings.baud or 4800, 7, "E", stop_bits=2)
         )
-        try:
-            self._connect()
-        except BaseException:
-            self._line.close()
-            raise
 
     def measure(self) -> ColorReading:
         for _ in range(_ATTEMPTS):
@@ -74,13 +68,6 @@ class Cs100a(Colorimeter):
 
     def status(self) -> str:
         return f"{self.identity}: absolute mode"
-
-    def reconnect(self) -> None:
-        reopen(self._line, self._settings.connect_timeout_s)
-        self._connect()
-
-    def close(self) -> None:
-        self._line.close()
 
     # -- the conversation ----------------------------------------------------------------------
 
@@ -114,10 +101,6 @@ class Cs100a(Colorimeter):
         raise ConnectionLostError(
             f"{self._name}: no reply to {command!r} within {self._settings.reply_timeout_s:g} s"
         )
-
-    @property
-    def _name(self) -> str:
-        return self._settings.port
 
 
 def _xyz(fields: list[str]) -> Floats | None:

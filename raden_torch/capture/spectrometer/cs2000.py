@@ -15,7 +15,6 @@ from contextlib import suppress
 import numpy as np
 
 from raden_torch.capture.spectrometer.ports import (
-    Colorimeter,
     ColorReading,
     ConnectionLostError,
     Floats,
@@ -24,7 +23,8 @@ from raden_torch.capture.spectrometer.ports import (
     Range,
 )
 from raden_torch.capture.spectrometer.rig import ColorimeterSettings
-from raden_torch.capture.spectrometer.serial_line import LineSettings, SerialLine, reopen
+from raden_torch.capture.spectrometer.serial_colorimeter import SerialColorimeter
+from raden_torch.capture.spectrometer.serial_line import LineSettings
 from raden_torch.capture.spectrometer.spectrum import xyz_of
 
 WAVELENGTHS_NM = np.arange(380.0, 781.0)
@@ -58,7 +58,7 @@ _ERRORS = {
 }
 
 
-class Cs2000(Colorimeter):
+class Cs2000(SerialColorimeter):
     """`Colorimeter` over a CS-2000; in remote control from when it is made until `close`.
 
     XYZ is computed from the spectrum where `settings.spectrum` is on, and compared with the
@@ -69,13 +69,9 @@ class Cs2000(Colorimeter):
     """
 
     def __init__(self, settings: ColorimeterSettings) -> None:
-        self._settings = settings
-        self._line = SerialLine(LineSettings(settings.port, settings.baud or 115200, rtscts=True))
-        try:
-            self._connect()
-        except BaseException:
-            self._line.close()
-            raise
+        super().__init__(
+            settings, LineSettings(settings.port, settings.baud or 115200, rtscts=True)
+        )
 
     def measure(self) -> ColorReading:
         code = self._run()
@@ -99,15 +95,11 @@ class Cs2000(Colorimeter):
             return f"{self.identity}: remote control is on, nothing measured yet"
         return f"{self.identity}: speed mode {speed}, sync mode {sync}, internal ND {nd_filter}"
 
-    def reconnect(self) -> None:
-        reopen(self._line, self._settings.connect_timeout_s)
-        self._connect()
-
     def close(self) -> None:
         with suppress(InstrumentError):  # a line that is gone cannot be given back in order
             self._line.send(b"RMTS,0\r\n")
             self._line.read_line(1.0)
-        self._line.close()
+        super().close()
 
     # -- the conversation ----------------------------------------------------------------------
 
@@ -268,7 +260,3 @@ class Cs2000(Colorimeter):
     def _grace_s(self) -> float:
         """How much longer to wait after a garbled line, which may have been the reply."""
         return self._settings.reply_timeout_s / 10
-
-    @property
-    def _name(self) -> str:
-        return self._settings.port
