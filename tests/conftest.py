@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hypothesis import settings
 
 from raden_torch.measurement import BrdfMeasurement
 
@@ -19,6 +20,13 @@ TOLERANCE = {torch.float64: 1e-12, torch.float32: 1e-5, torch.bfloat16: 2e-2, to
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--device", default="cpu", help="the torch device to test on")
     parser.addoption("--dtype", default="float32,float64", help="comma-separated dtypes")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """The same examples in every run; --hypothesis-seed=N looks for others."""
+    settings.register_profile("seeded", derandomize=True)
+    if config.getoption("--hypothesis-seed") is None:
+        settings.load_profile("seeded")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -24,6 +24,9 @@ _ROUND = 0.02
 """An outline may leave its circle by this share of the radius (or 1.5 pixels), one point in 20 by
 more."""
 _SMALLEST_PX = 8.0
+_BEYOND_PX = 2.0
+"""How far outside of a mask's last white pixels its edge is looked for."""
+_STEPS = 16
 _Y_UP = np.array([1.0, -1.0, 1.0])
 
 
@@ -110,11 +113,27 @@ def ball_from_mask(
     free = (outline > 0).all(1) & (outline < [width - 1, height - 1]).all(1)
     if free.sum() < 3 * _SMALLEST_PX:
         raise InputError(f"{name}: no outline of a ball; white on the ball, black around it wanted")
-    points = outline[free]
-    centre, _ = _circle(points)
-    # an outline runs through the centres of the mask's last pixels, half a pixel inside
-    points = centre + (points - centre) * (1 + 0.5 / np.hypot(*(points - centre).T))[:, None]
+    points = _half_crossings(levels, outline[free])
     return _ball(points, matrix, radius, str(name), white)
+
+
+def _half_crossings(levels: NDArray[np.float32], outline: Floats) -> Floats:
+    """`[n, 2]`: where the mask falls through half of its largest value, on the way out through its
+    last white pixels: an edge painted smoothly is known to a fraction of a pixel."""
+    import cv2
+
+    centre, _ = _circle(outline)
+    way = (outline - centre) / np.hypot(*(outline - centre).T)[:, None]
+    reach = np.linspace(0, _BEYOND_PX, _STEPS + 1)
+    u, v = (outline[:, None] + way[:, None] * reach[:, None]).astype(np.float32).transpose(2, 0, 1)
+    profile = cv2.remap(levels, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    half = levels.max() / 2
+    below = profile <= half
+    found = np.flatnonzero(below.any(axis=1))
+    after = below[found].argmax(axis=1)
+    last, first = profile[found, after - 1], profile[found, after]
+    at = reach[after - 1] + (last - half) / (last - first) * reach[1]
+    return np.asarray(outline[found] + way[found] * at[:, None])
 
 
 def find_ball(
