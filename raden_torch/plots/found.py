@@ -123,8 +123,7 @@ def _sheet(width: float, height: float) -> Figure:
 
 def _dial(ax: Any, lamps: Lamps, small: bool = False) -> None:
     """Where the lamps stand, seen along the camera's axis: angle from it outwards."""
-    turn = np.arctan2(lamps.direction[:, 1], lamps.direction[:, 0])
-    away = np.rad2deg(np.arccos(np.clip(lamps.direction[:, 2], -1, 1)))
+    turn, away = np.deg2rad(lamps.turn_deg), lamps.away_deg
     size = (60 if small else 130) * lamps.intensity / lamps.intensity.max()
     ax.scatter(turn, away, s=size, c=_LAMP, edgecolors="white", linewidths=0.8, zorder=3)
     if not small:

@@ -249,8 +249,8 @@ def _ball(
         cosine = 1 / np.linalg.norm(axis)
         if not cosine < 1:
             raise InputError(f"{name}: the outline is no ball's in this camera; another camera?")
-        half = float(np.arccos(cosine))
-        across = np.arccos(np.clip(rays @ axis * cosine, -1, 1))
+        half = float(np.arctan(np.sqrt(1 / cosine**2 - 1)))
+        across = np.arctan2(np.linalg.norm(np.cross(rays, axis), axis=1), rays @ axis)
         off = (across - half) * float(matrix[0, 0] + matrix[1, 1]) / 2
         place, size = axis * cosine * radius / np.sin(half), radius
     limit = max(1.5, _ROUND * r)

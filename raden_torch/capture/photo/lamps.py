@@ -62,12 +62,22 @@ class Lamps:
     def __len__(self) -> int:
         return len(self.direction)
 
+    @property
+    def away_deg(self) -> Floats:
+        """`[K]` between each lamp and the camera's axis, 0…180."""
+        x, y, z = self.direction.T
+        return np.asarray(np.rad2deg(np.arctan2(np.hypot(x, y), z)))
+
+    @property
+    def turn_deg(self) -> Floats:
+        """`[K]` which way from that axis, −180…180: 0 right, 90 up."""
+        return np.asarray(np.rad2deg(np.arctan2(self.direction[:, 1], self.direction[:, 0])))
+
     def __str__(self) -> str:
         """A line a lamp: its angle from the camera's axis, which way, and how bright."""
         lines = []
-        for k, (x, y, z) in enumerate(self.direction):
+        for k, (away, turn) in enumerate(zip(self.away_deg, self.turn_deg, strict=True)):
             name = self.names[k] if self.names else f"lamp {k + 1}"
-            away, turn = np.rad2deg(np.arccos(np.clip(z, -1, 1))), np.rad2deg(np.arctan2(y, x))
             line = f"{name}: {away:.1f} deg from the camera's axis, towards {turn:.0f} deg"
             line += f" (0 right, 90 up), intensity {self.intensity[k]:.3f}"
             if self.position is not None and self.miss is not None:
@@ -140,7 +150,8 @@ def lamps_from_balls(
     lamps = Lamps(mean, np.ones(len(mean)), unit=unit, names=names, matrix=balls[0].matrix)
     if len(balls) == 1:
         return lamps
-    apart = np.rad2deg(np.arccos(np.clip((direction * mean[:, None]).sum(-1), -1, 1))).max(1)
+    difference, total = (np.linalg.norm(direction + k * mean[:, None], axis=-1) for k in (-1, 1))
+    apart = np.rad2deg(2 * np.arctan2(difference, total)).max(1)
     if float(np.median(apart)) < _PARALLEL_DEG:
         note = (
             f"the balls see the lamps {np.median(apart):.2f} degrees apart: they are too far "
