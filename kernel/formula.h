@@ -162,22 +162,28 @@ struct IncidenceTerm {
     }
 };
 
-// Along one axis of the table: the position in measured cells, and the weight that fades to 0 over
-// one of them outside the box.
+// Along one axis of the table: the position in measured cells, held to the box, and how many of them
+// it lay beyond the box, signed.
 template <class V>
-inline V inside_box(const Table& table, int axis, const V& radians, V& weight) {
+inline V inside_box(const Table& table, int axis, const V& radians, V& beyond) {
     const V x = fma(radians, V(table.per_radian[axis]), V(table.offset[axis]));
     const V inside = least(greatest(x, 0.0f), table.box[axis]);
-    weight = weight * greatest(V(1.0f) - magnitude(x - inside), 0.0f);
+    beyond = x - inside;
     return inside;
 }
 
-// Measured cells → nodes, of a baked table.
+// The weight of one axis: it fades to 0 over one measured cell outside the box.
 template <class V>
-inline V cut(const Table& table, int axis, const V& x) {
+inline V fade_beyond(const V& beyond) {
+    return greatest(V(1.0f) - magnitude(beyond), 0.0f);
+}
+
+// Measured cells → nodes, of a baked table; and into how many nodes this cell is cut.
+template <class V>
+inline V cut(const Table& table, int axis, const V& x, V& pieces) {
     const V cell = least(greatest(floor_of(x), 0.0f), table.last_cell[axis]);
-    const V start = lookup(table.start[axis], table.blocks[axis], cell);
-    return fma(x - cell, lookup(table.pieces[axis], table.blocks[axis], cell), start);
+    pieces = lookup(table.pieces[axis], table.blocks[axis], cell);
+    return fma(x - cell, pieces, lookup(table.start[axis], table.blocks[axis], cell));
 }
 
 // The node below, and the fraction above it.

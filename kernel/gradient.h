@@ -22,20 +22,13 @@ struct Placement {
     Placement(const Table& table, const V angle[3]) {
         V at[3];
         for (int k = 0; k < 3; ++k) {
-            const V x = fma(angle[k], V(table.per_radian[k]), V(table.offset[k]));
-            at[k] = least(greatest(x, 0.0f), table.box[k]);
-            beyond[k] = x - at[k];
-            fade[k] = greatest(V(1.0f) - magnitude(beyond[k]), 0.0f);
+            at[k] = inside_box(table, k, angle[k], beyond[k]);
+            fade[k] = fade_beyond(beyond[k]);
             per_angle[k] = select(magnitude(beyond[k]) <= 0.0f, table.per_radian[k], 0.0f);
         }
         if (table.start[0]) {
             at[1] = at[1] - at[0] + table.box[0];
-            for (int k = 0; k < 3; ++k) {
-                const V cell = least(greatest(floor_of(at[k]), 0.0f), table.last_cell[k]);
-                const V pieces = lookup(table.pieces[k], table.blocks[k], cell);
-                at[k] = fma(at[k] - cell, pieces, lookup(table.start[k], table.blocks[k], cell));
-                cut_into[k] = pieces;
-            }
+            for (int k = 0; k < 3; ++k) at[k] = cut(table, k, at[k], pieces[k]);
         }
         for (int k = 0; k < 3; ++k) low[k] = node(table, k, at[k], fraction[k]);
     }
@@ -48,14 +41,14 @@ struct Placement {
             for (int k = 0; k < 3; ++k) by_angle[k] = by_node[k] * per_angle[k];
             return;
         }
-        const V across = by_node[1] * cut_into[1];  // along r − a
-        by_angle[0] = (by_node[0] * cut_into[0] - across) * per_angle[0];
+        const V across = by_node[1] * pieces[1];  // along r − a
+        by_angle[0] = (by_node[0] * pieces[0] - across) * per_angle[0];
         by_angle[1] = across * per_angle[1];
-        by_angle[2] = by_node[2] * cut_into[2] * per_angle[2];
+        by_angle[2] = by_node[2] * pieces[2] * per_angle[2];
     }
 
 private:
-    V cut_into[3];
+    V pieces[3];
 };
 
 // The same tiles as `reflect`, in one slice: a thread with sums of its own.

@@ -120,14 +120,15 @@ struct Tile {
         if (m.table.values) {
             V fa, fr, ft;
             const V a = arctan(half.a), r = arctan(half.r), t = arctan(half.t);
-            weight = 1.0f;
-            V x = inside_box(m.table, 0, a + a, weight);
-            V y = inside_box(m.table, 1, r + r, weight);
-            V z = inside_box(m.table, 2, t + t, weight);
+            V beyond[3], pieces;
+            V x = inside_box(m.table, 0, a + a, beyond[0]);
+            V y = inside_box(m.table, 1, r + r, beyond[1]);
+            V z = inside_box(m.table, 2, t + t, beyond[2]);
+            weight = fade_beyond(beyond[0]) * fade_beyond(beyond[1]) * fade_beyond(beyond[2]);
             if (m.table.start[0]) {
-                y = cut(m.table, 1, y - x + m.table.box[0]);
-                x = cut(m.table, 0, x);
-                z = cut(m.table, 2, z);
+                y = cut(m.table, 1, y - x + m.table.box[0], pieces);
+                x = cut(m.table, 0, x, pieces);
+                z = cut(m.table, 2, z, pieces);
             }
             x = node(m.table, 0, x, fa);
             y = node(m.table, 1, y, fr);
