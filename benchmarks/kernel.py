@@ -24,7 +24,7 @@ from torch import Tensor
 
 import raden_torch as rt
 from raden_torch.bench import naive
-from raden_torch.brdf import kernel
+from raden_torch.brdf import simd
 from raden_torch.brdf.model import CosineDiffuse
 from raden_torch.brdf.table import ReflectanceTable
 
@@ -98,7 +98,7 @@ def copy_of(pixels: int) -> Callable[[], object]:
 
 def at_level(level: str, form: Callable[..., object], *arguments: object) -> Callable[[], object]:
     def run() -> object:
-        with kernel.using(level):
+        with simd.using(level):
             return form(*arguments)
 
     return run
@@ -109,9 +109,9 @@ def forms_of(plain: rt.RadenBrdf, model: rt.RadenBrdf, maps: Maps) -> Forms:
     forms: Forms = {
         "floor": copy_of(maps[0].numel() // 3),
         "naive": lambda: naive(plain, *maps),
-        "eager": at_level(kernel.OFF, model, *maps),
+        "eager": at_level(simd.OFF, model, *maps),
     }
-    return forms | {f"kernel {level}": at_level(level, model, *maps) for level in kernel.LEVELS}
+    return forms | {f"kernel {level}": at_level(level, model, *maps) for level in simd.LEVELS}
 
 
 def training(plain: rt.RadenBrdf, model: rt.RadenBrdf, maps: Maps) -> Forms:
@@ -121,7 +121,7 @@ def training(plain: rt.RadenBrdf, model: rt.RadenBrdf, maps: Maps) -> Forms:
     def step(form: Callable[..., Tensor], of: rt.RadenBrdf, level: str) -> Callable[[], object]:
         def run() -> None:
             normal = maps[0].clone().requires_grad_()
-            with kernel.using(level), torch.enable_grad():
+            with simd.using(level), torch.enable_grad():
                 form(normal, *maps[1:]).backward(change)
             of.zero_grad()
 
@@ -129,10 +129,10 @@ def training(plain: rt.RadenBrdf, model: rt.RadenBrdf, maps: Maps) -> Forms:
 
     forms: Forms = {
         "floor": copy_of(maps[0].numel() // 3),
-        "naive": step(partial(naive, plain), plain, kernel.OFF),
-        "eager": step(model, model, kernel.OFF),
+        "naive": step(partial(naive, plain), plain, simd.OFF),
+        "eager": step(model, model, simd.OFF),
     }
-    return forms | {f"kernel {level}": step(model, model, level) for level in kernel.LEVELS}
+    return forms | {f"kernel {level}": step(model, model, level) for level in simd.LEVELS}
 
 
 def ratios(ms: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
@@ -168,7 +168,7 @@ def skipping(model: rt.RadenBrdf, runs: int) -> dict[str, dict[str, float]]:
 
     def add(name: str, gbuffer: rt.GBuffer, lights: list[rt.DirectionalLight], **options) -> None:
         of = options.pop("model", model)
-        forms[name] = at_level(kernel.level(), partial(rt.shade, **options), of, gbuffer, lights)
+        forms[name] = at_level(simd.level(), partial(rt.shade, **options), of, gbuffer, lights)
 
     for name, mask in masks.items():
         add(name, rt.GBuffer(normal, view, position=light, mask=mask), lamps)
@@ -245,7 +245,7 @@ def main() -> None:
         "threads": options.threads,
         "load": os.getloadavg(),
         "torch": torch.__version__,
-        "levels": kernel.LEVELS,
+        "levels": simd.LEVELS,
     }
     with torch.no_grad():
         for kind, model in {"the paper's table": plain, "the default": baked}.items():
@@ -260,7 +260,7 @@ def main() -> None:
                     say_ratios(name, rows)
         scaling = {}
         for size in SIZES:
-            taken = times({"kernel": at_level(kernel.level(), plain, *plate_maps(*size))}, 5)
+            taken = times({"kernel": at_level(simd.level(), plain, *plate_maps(*size))}, 5)
             scaling[f"{size[0]}x{size[1]}"] = 1e6 * taken["kernel"]["median"] / (size[0] * size[1])
         report["ns a pixel"] = scaling
         print("\nns a pixel:", ", ".join(f"{size} {ns:.2f}" for size, ns in scaling.items()))

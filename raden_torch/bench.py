@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf import kernel
+from raden_torch.brdf import simd
 from raden_torch.brdf.fit import fit
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.interpolation import SCHEMES
@@ -183,15 +183,15 @@ def backends(model: RadenBrdf, compiled: bool = False) -> dict[tuple[str, str], 
     `compiled` adds the eager form under torch.compile, which needs a compiler and its time.
     """
     found: dict[tuple[str, str], Shader] = {}
-    for level in reversed(kernel.LEVELS):
+    for level in reversed(simd.LEVELS):
         found[level, "float32"] = _no_grad(model, level)
     for precision in PRECISIONS:
-        found["eager", precision] = _no_grad(model, kernel.OFF)
+        found["eager", precision] = _no_grad(model, simd.OFF)
     if compiled:
         torch.compiler.reset()  # else the models before this one count as its recompilations
-        found["compiled", "float32"] = _no_grad(torch.compile(model), kernel.OFF)
-    if kernel.LEVELS:
-        found[kernel.LEVELS[-1], "float16"] = _no_grad(model, kernel.LEVELS[-1])
+        found["compiled", "float32"] = _no_grad(torch.compile(model), simd.OFF)
+    if simd.LEVELS:
+        found[simd.LEVELS[-1], "float16"] = _no_grad(model, simd.LEVELS[-1])
     if model.table is not None and model.table.pieces is None:
         found["naive", "float32"] = torch.no_grad()(partial(naive, model))
     return found
@@ -284,7 +284,7 @@ def _no_grad(model: Shader, level: str | None = None) -> Shader:
     """The model without gradients, by the kernel's instruction set; by what it takes where None."""
 
     def shader(normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
-        with torch.no_grad(), kernel.using(level or kernel.level()):
+        with torch.no_grad(), simd.using(level or simd.level()):
             return model(normal, light, view)
 
     return shader

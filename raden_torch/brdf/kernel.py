@@ -6,23 +6,18 @@ precision. The eager torch form stays the reference: the kernel computes the sam
 
 It is registered as the torch operators `raden_torch::brdf`, its gradient
 `raden_torch::brdf_backward`, and `raden_torch::shade` (which has none: with gradients `shade` calls
-the model light by light), so that `torch.compile` and `torch.export` see one node each. The
-environment variable RADEN_TORCH_SIMD chooses its instruction set: avx512, avx2, portable, or off
-for the eager form.
+the model light by light), so that `torch.compile` and `torch.export` see one node each.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from raden_torch.errors import InputError
+from raden_torch.brdf import simd
 from raden_torch.geometry import XYZ_DIM
 
 if TYPE_CHECKING:
@@ -31,14 +26,9 @@ if TYPE_CHECKING:
 
 try:
     from raden_torch.brdf import _kernel  # type: ignore[attr-defined, unused-ignore]
-
-    LEVELS: tuple[str, ...] = tuple(_kernel.levels())
-    """The instruction sets that this machine can run, the fastest last; empty if not built."""
 except ImportError:
-    _kernel, LEVELS = None, ()
+    _kernel = None
 
-OFF = "off"
-VARIABLE = "RADEN_TORCH_SIMD"
 PRECISIONS = (torch.float32, torch.float16, torch.bfloat16)
 LARGEST_TABLE = 2**24
 """Nodes: the kernel counts them in single precision, which is exact up to here."""
@@ -63,58 +53,13 @@ torch.library.define(
     "(Tensor normal, Tensor? view, Tensor? position, Tensor? camera, Tensor? mask, Tensor lights, "
     f"{_MODEL}) -> Tensor",
 )
-
-
-def _level_asked_for() -> str:
-    asked = os.environ.get(VARIABLE, "")
-    choices = (*LEVELS, OFF)
-    if asked and asked not in choices:
-        raise InputError(f"{VARIABLE}={asked}: one of {', '.join(choices)} was wanted here")
-    return asked or (LEVELS[-1] if LEVELS else OFF)
-
-
-_level = _level_asked_for()
-
-
-def level() -> str:
-    """The instruction set in use, or "off"."""
-    return _level
-
-
-@contextmanager
-def using(name: str) -> Iterator[None]:
-    """Within the block, take this instruction set; "off" takes the eager form."""
-    global _level
-    if name not in (*LEVELS, OFF):
-        raise InputError(f"kernel {name}: one of {', '.join((*LEVELS, OFF))} was wanted here")
-    before, _level = _level, name
-    try:
-        yield
-    finally:
-        _level = before
-
-
-def system_report() -> str:
-    """Which form of the model runs here, one fact a line."""
-    if _level != OFF:
-        form = f"fused kernel, {_level} (this machine has {', '.join(LEVELS)})"
-    elif LEVELS:
-        form = f"eager torch: {VARIABLE}={OFF}"
-    else:
-        form = "eager torch: the kernel was not built (no C++ compiler at install time?)"
-    return "\n".join(
-        (
-            f"evaluation: {form}",
-            "in float64 and on other devices: eager torch",
-            f"threads: {torch.get_num_threads()}",
-            f"torch: {torch.__version__}",
-        )
-    )
+_MAPS = 6
+"""The arguments of `shade` before the model's."""
 
 
 def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
     """Whether the kernel can stand in for the eager form of this model on these tensors."""
-    if _level == OFF or torch.onnx.is_in_onnx_export() or _is_transformed():
+    if simd.level() == simd.OFF or torch.onnx.is_in_onnx_export() or _is_transformed():
         return False
     if isinstance(model.diffuse_gain, Tensor) or isinstance(model.specular_gain, Tensor):
         return False
@@ -144,7 +89,7 @@ def look_up(sphere: LitSphere, normal: Tensor, mask: Tensor | None) -> Tensor:
             tuple(sphere.frame.flatten().tolist()),
             (b, h, w),
             image.data_ptr(),
-            _level_that_is_on(),
+            _level(),
             torch.get_num_threads(),
         )
     return image
@@ -219,7 +164,7 @@ def _brdf(normal: Tensor, light: Tensor, view: Tensor, *model: Any) -> Tensor:
         *map(_address, maps),
         (b, h, w),
         image.data_ptr(),
-        _level_that_is_on(),
+        _level(),
         torch.get_num_threads(),
     )
     del held
@@ -227,16 +172,9 @@ def _brdf(normal: Tensor, light: Tensor, view: Tensor, *model: Any) -> Tensor:
 
 
 @torch.library.impl("raden_torch::shade", "CPU")
-def _shade(
-    normal: Tensor,
-    view: Tensor | None,
-    position: Tensor | None,
-    camera: Tensor | None,
-    mask: Tensor | None,
-    lights: Tensor,
-    *model: Any,
-) -> Tensor:
-    b, h, w = _image_size(normal, view, position, camera, mask, lights)
+def _shade(*arguments: Any) -> Tensor:
+    (normal, view, position, camera, mask, lights), model = arguments[:_MAPS], arguments[_MAPS:]
+    b, h, w = _image_size(*arguments[:_MAPS])
     size = (b, 3, h, w)
     image = torch.empty(size, dtype=torch.float32)
     if image.numel() == 0:
@@ -254,7 +192,7 @@ def _shade(
         len(lamps),
         (b, h, w),
         image.data_ptr(),
-        _level_that_is_on(),
+        _level(),
         torch.get_num_threads(),
     )
     del held
@@ -266,16 +204,8 @@ def _brdf_shape(normal: Tensor, light: Tensor, view: Tensor, *model: Any) -> Ten
     return normal.new_empty(shape, dtype=torch.float32)
 
 
-def _shade_shape(
-    normal: Tensor,
-    view: Tensor | None,
-    position: Tensor | None,
-    camera: Tensor | None,
-    mask: Tensor | None,
-    lights: Tensor,
-    *model: Any,
-) -> Tensor:
-    b, h, w = _image_size(normal, view, position, camera, mask, lights)
+def _shade_shape(normal: Tensor, *others: Any) -> Tensor:
+    b, h, w = _image_size(normal, *others[: _MAPS - 1])
     return normal.new_empty((b, 3, h, w), dtype=torch.float32)
 
 
@@ -356,7 +286,7 @@ def _brdf_backward(gradient: Tensor, *arguments: Any) -> list[Tensor]:
             tables.data_ptr() if sums else 0,
             body.data_ptr(),
             slices,
-            _level_that_is_on(),
+            _level(),
         )
     del held
     return [
@@ -395,7 +325,7 @@ def _eager(normal: Tensor, light: Tensor, view: Tensor, *arguments: Any) -> Tens
         diffuse_gain=diffuse_gain,
         specular_gain=specular_gain,
     )
-    with using(OFF):
+    with simd.using(simd.OFF):
         return torch.func.functional_call(model, tensors, (normal, light, view))
 
 
@@ -435,5 +365,7 @@ def _address(m: Tensor) -> tuple[int, ...]:
     return (m.data_ptr(), *m.stride())
 
 
-def _level_that_is_on() -> str:
-    return _level if _level != OFF else LEVELS[-1]
+def _level() -> str:
+    """A call that `takes` agreed to may come after the kernel was switched off: compiled code."""
+    level = simd.level()
+    return level if level != simd.OFF else simd.LEVELS[-1]

@@ -75,7 +75,7 @@ def info(
     if system == (file is not None):
         raise InputError("info: give a FILE, or --system")
     if file is None:
-        from raden_torch.brdf.kernel import system_report
+        from raden_torch.brdf.simd import system_report
 
         print(system_report())
         return

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf import kernel
+from raden_torch.brdf import simd
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.model import RadenBrdf
@@ -58,7 +58,10 @@ class Expected:
 def expected(model: RadenBrdf, profile: str, output: str, inputs: dict[str, Tensor]) -> Expected:
     """The picture by the eager model, with what the inputs override put into it."""
     own = _overridden(model, profile, output, inputs)
-    with torch.no_grad(), kernel.using(kernel.OFF):  # the eager form is the reference
+    with (
+        torch.no_grad(),
+        simd.using(simd.OFF),
+    ):  # the eager form is the reference
         if profile == "scene":
             return _scene(own, inputs)
         return _gbuffer(own, output, inputs)

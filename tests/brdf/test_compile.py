@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 import raden_torch as rt
-from raden_torch.brdf import kernel
+from raden_torch.brdf import simd
 from raden_torch.brdf.model import CosineDiffuse
 from raden_torch.brdf.table import ReflectanceTable
 
-FORMS = [kernel.level(), kernel.OFF] if kernel.LEVELS else [kernel.OFF]
+FORMS = [simd.level(), simd.OFF] if simd.LEVELS else [simd.OFF]
 WARM, SIZES = ((6, 5), (7, 9)), ((16, 18), (20, 8), (11, 40))
 LIGHTS = [
     rt.DirectionalLight((0.3, 0.2, 1.0)),
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.filterwarnings(
 def form(request: pytest.FixtureRequest) -> Iterator[str]:
     """With the fused operator in the graph, or the eager form's own operations."""
     torch.compiler.reset()
-    with kernel.using(request.param), torch.no_grad():
+    with simd.using(request.param), torch.no_grad():
         yield request.param
 
 
@@ -100,7 +100,7 @@ def test_export_with_free_sizes(form, which) -> None:
         module, maps(6, 5), dynamic_shapes=({2: height, 3: width},) * 3, strict=False
     )
     operators = [n.target for n in program.graph.nodes if "raden_torch" in str(n.target)]
-    assert len(operators) == (form != kernel.OFF)
+    assert len(operators) == (form != simd.OFF)
     for size in ((7, 9), (16, 18)):
         assert torch.equal(program.module()(*maps(*size)), module(*maps(*size)))
 
@@ -125,7 +125,7 @@ def test_compiled_code_agrees_with_the_eager_form() -> None:
     torch.compiler.reset()
     model = model_of("plain")
     in_process = torch._inductor.config.patch(compile_threads=1)  # no pool of compilers to start
-    with kernel.using(kernel.OFF), torch.no_grad(), in_process:
+    with simd.using(simd.OFF), torch.no_grad(), in_process:
         compiled = torch.compile(model, fullgraph=True)
         torch.testing.assert_close(
             compiled(*maps(16, 18)), model(*maps(16, 18)), rtol=1e-4, atol=1e-5

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from raden_torch.brdf import kernel
+from raden_torch.brdf import simd
 
 MEASURED = """
 import sys, torch
@@ -41,13 +41,13 @@ print(frame(2160, 3840))
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not kernel.LEVELS, reason="the kernel was not built here")
+@pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
 @pytest.mark.skipif(sys.platform != "linux", reason="the high-water mark is read from /proc")
 @pytest.mark.parametrize("form", ["model", "shade"])
 def test_a_frame_takes_at_most_a_fifth_more_than_its_output(form) -> None:
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", MEASURED, form],
-        env={key: value for key, value in os.environ.items() if key != kernel.VARIABLE},
+        env={key: value for key, value in os.environ.items() if key != simd.VARIABLE},
         capture_output=True,
         text=True,
         timeout=120,

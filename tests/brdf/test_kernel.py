@@ -14,12 +14,12 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf import kernel
+from raden_torch.brdf import kernel, simd
 from raden_torch.brdf.model import CosineDiffuse
 from raden_torch.brdf.table import ReflectanceTable
 from raden_torch.errors import InputError
 
-needs_kernel = pytest.mark.skipif(not kernel.LEVELS, reason="the kernel was not built here")
+needs_kernel = pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
 pytestmark = needs_kernel
 
 Maps = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
@@ -35,13 +35,13 @@ def model() -> rt.RadenBrdf:
     return rt.RadenBrdf(diffuse, ReflectanceTable(table, (0.0, -70.0, -70.0), (10.0, 10.0, 10.0)))
 
 
-@pytest.fixture(params=kernel.LEVELS)
+@pytest.fixture(params=simd.LEVELS)
 def level(request: pytest.FixtureRequest) -> str:
     return request.param
 
 
 def evaluate(model: rt.RadenBrdf, maps: Maps, level: str) -> torch.Tensor:
-    with torch.no_grad(), kernel.using(level):
+    with torch.no_grad(), simd.using(level):
         return model(*maps)
 
 
@@ -112,7 +112,7 @@ def test_error_is_at_most_twice_that_of_the_eager_form(model, level, region, len
     maps = tuple((length * m).float() for m in REGIONS[region]())
     exact = model(*(m.double() for m in maps)).detach()
     kernels = (evaluate(model, maps, level) - exact).abs().flatten()
-    eagers = (evaluate(model, maps, kernel.OFF) - exact).abs().flatten()
+    eagers = (evaluate(model, maps, simd.OFF) - exact).abs().flatten()
     rounding = 1e-7
     assert kernels.mean() <= 2 * eagers.mean() + rounding
     for share in (0.9, 0.999):
@@ -139,7 +139,7 @@ def test_special_vectors_are_as_in_the_eager_form(model, level) -> None:
         special.view(3, *shape).expand(3, n, n, n).reshape(1, 3, -1, n)
         for shape in ((n, 1, 1), (1, n, 1), (1, 1, n))
     )
-    found, expected = (evaluate(model, maps, which) for which in (level, kernel.OFF))
+    found, expected = (evaluate(model, maps, which) for which in (level, simd.OFF))
     assert torch.isfinite(found).all()
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-6)
     invalid = ~torch.isfinite(special).all(0) | (special == 0).all(0)
@@ -161,7 +161,7 @@ def test_gains_and_missing_parts(model, level, gains, parts) -> None:
     table = model.table if parts in ("both", "table") else None
     part = rt.RadenBrdf(diffuse, table, diffuse_gain=gains[0], specular_gain=gains[1])
     maps = tuple(m.float() for m in REGIONS["random"]())
-    found, expected = (evaluate(part, maps, which) for which in (level, kernel.OFF))
+    found, expected = (evaluate(part, maps, which) for which in (level, simd.OFF))
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=2e-5)
 
 
@@ -178,7 +178,7 @@ def baked() -> rt.RadenBrdf:
 def test_a_baked_table_is_read_as_in_the_eager_form(baked, level) -> None:
     maps = tuple(m.float() for m in REGIONS["random"]())
     exact = baked(*(m.double() for m in maps)).detach()
-    found, eager = (evaluate(baked, maps, which) - exact for which in (level, kernel.OFF))
+    found, eager = (evaluate(baked, maps, which) - exact for which in (level, simd.OFF))
     assert found.abs().mean() <= 2 * eager.abs().mean()
     assert found.abs().quantile(0.999) <= 2 * eager.abs().quantile(0.999)
 
@@ -229,20 +229,20 @@ def test_constant_maps_are_broadcast_not_expanded(model, level) -> None:
 @pytest.mark.parametrize("shape", [(0, 3, 4, 4), (1, 3, 0, 4), (2, 3, 4, 0), (3, 0, 1)])
 def test_no_pixels(model, shape) -> None:
     maps = (torch.ones(shape), torch.ones(3, 1, 1), torch.ones(3, 1, 1))
-    assert evaluate(model, maps, kernel.LEVELS[-1]).shape == shape
+    assert evaluate(model, maps, simd.LEVELS[-1]).shape == shape
 
 
 def test_dtypes(model) -> None:
     maps = image_maps(5, 7)
     mixed = (maps[0].half(), maps[1].bfloat16(), maps[2])
-    found = evaluate(model, mixed, kernel.LEVELS[-1])
+    found = evaluate(model, mixed, simd.LEVELS[-1])
     assert found.dtype == torch.float32
-    assert torch.equal(found, evaluate(model, tuple(m.float() for m in mixed), kernel.LEVELS[-1]))
+    assert torch.equal(found, evaluate(model, tuple(m.float() for m in mixed), simd.LEVELS[-1]))
     doubled = (maps[0].double(), *maps[1:])
-    assert evaluate(model, doubled, kernel.LEVELS[-1]).dtype == torch.float64
+    assert evaluate(model, doubled, simd.LEVELS[-1]).dtype == torch.float64
     half = copy.deepcopy(model).bfloat16()
     torch.testing.assert_close(
-        evaluate(half, maps, kernel.LEVELS[-1]), evaluate(half, maps, kernel.OFF),
+        evaluate(half, maps, simd.LEVELS[-1]), evaluate(half, maps, simd.OFF),
         rtol=1e-5, atol=2e-5,
     )  # fmt: skip
 
@@ -274,7 +274,7 @@ def test_any_number_of_threads_gives_the_same_bits(model, level) -> None:
 
 def test_callers_at_the_same_time(model) -> None:
     maps = large_maps()
-    expected, found = evaluate(model, maps, kernel.LEVELS[-1]), []
+    expected, found = evaluate(model, maps, simd.LEVELS[-1]), []
 
     def call() -> None:
         with torch.no_grad():
@@ -346,7 +346,7 @@ def gradients_of(
     copied = copy.deepcopy(model).to(to)
     named = dict(zip(("normal", "light", "view"), maps, strict=True))
     leaves = {name: m.to(to).clone().requires_grad_() for name, m in named.items()}
-    with kernel.using(level):
+    with simd.using(level):
         f = copied(*leaves.values())
     weights = torch.randn(f.shape, generator=torch.Generator().manual_seed(9)).to(to)
     (f * weights).sum().backward()
@@ -363,8 +363,8 @@ def either_model(request: pytest.FixtureRequest, model, baked) -> rt.RadenBrdf:
 @pytest.mark.parametrize("region", [name for name in REGIONS if name != "at nodes"])  # kinks
 def test_the_gradient_errs_no_more_than_the_eager_one(either_model, level, region) -> None:
     maps = tuple((3.7 * m[:, :, :2000]).float() for m in REGIONS[region]())
-    exact = gradients_of(either_model, maps, kernel.OFF, torch.float64)
-    eager = gradients_of(either_model, maps, kernel.OFF)
+    exact = gradients_of(either_model, maps, simd.OFF, torch.float64)
+    eager = gradients_of(either_model, maps, simd.OFF)
     found = gradients_of(either_model, maps, level)
     for name, truth in exact.items():
         # kinks at cell borders may fall on either side: a rare pixel is another gradient's
@@ -412,7 +412,7 @@ def test_only_what_asks_for_it_gets_a_gradient(model, frozen) -> None:
 def test_gradients_of_a_model_without_a_part(model, level, part) -> None:
     copied = copy.deepcopy(model)
     setattr(copied, part, None)
-    exact = gradients_of(copied, image_maps(6, 7), kernel.OFF, torch.float64)
+    exact = gradients_of(copied, image_maps(6, 7), simd.OFF, torch.float64)
     for name, found in gradients_of(copied, image_maps(6, 7), level).items():
         torch.testing.assert_close(found, exact[name].float(), rtol=1e-4, atol=1e-4)
 
@@ -431,11 +431,11 @@ def test_gradients_are_the_same_bits_every_time(model, level) -> None:
 def test_gradients_of_gradients_take_the_eager_form(model) -> None:
     def twice(level: str) -> torch.Tensor:
         n, l, v = (m.clone().requires_grad_() for m in image_maps(3, 5))  # noqa: E741
-        with kernel.using(level):
+        with simd.using(level):
             (slope,) = torch.autograd.grad(model(n, l, v).sum(), n, create_graph=True)
         return torch.autograd.grad(slope.square().sum(), l)[0]
 
-    torch.testing.assert_close(twice(kernel.level()), twice(kernel.OFF), rtol=1e-3, atol=1e-3)
+    torch.testing.assert_close(twice(simd.level()), twice(simd.OFF), rtol=1e-3, atol=1e-3)
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
@@ -465,21 +465,21 @@ def test_compile_and_export_see_one_operator(model) -> None:
 
 def test_off_takes_the_eager_form(model, monkeypatch: pytest.MonkeyPatch) -> None:
     maps = image_maps(3, 5)
-    with torch.no_grad(), kernel.using(kernel.OFF):
+    with torch.no_grad(), simd.using(simd.OFF):
         assert not kernel.takes(model, *maps)
-        assert "eager torch: RADEN_TORCH_SIMD=off" in kernel.system_report()
-    monkeypatch.setattr(kernel, "LEVELS", ())
-    monkeypatch.setattr(kernel, "_level", kernel.OFF)
-    assert "was not built" in kernel.system_report()
+        assert "eager torch: RADEN_TORCH_SIMD=off" in simd.system_report()
+    monkeypatch.setattr(simd, "LEVELS", ())
+    monkeypatch.setattr(simd, "_level", simd.OFF)
+    assert "was not built" in simd.system_report()
     with torch.no_grad():
         assert model(*maps).shape == maps[0].shape
 
 
 @pytest.mark.parametrize(("asked", "code"), [("portable", 0), ("off", 0), ("sse9", 2)])
-def test_the_environment_chooses_the_instruction_set(asked: str, code: int) -> None:
+def test_the_environment_chooses_the_simd(asked: str, code: int) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "raden_torch.cli", "info", "--system"],
-        env={**os.environ, kernel.VARIABLE: asked},
+        env={**os.environ, simd.VARIABLE: asked},
         capture_output=True,
         text=True,
         timeout=120,
@@ -513,7 +513,7 @@ def scene(camera: bool = True, mask: torch.Tensor | None = None) -> rt.GBuffer:
 
 
 def lit(model: rt.RadenBrdf, gbuffer: rt.GBuffer, lights, level: str) -> torch.Tensor:
-    with torch.no_grad(), kernel.using(level):
+    with torch.no_grad(), simd.using(level):
         return rt.shade(model, gbuffer, lights)
 
 
@@ -521,7 +521,7 @@ def lit(model: rt.RadenBrdf, gbuffer: rt.GBuffer, lights, level: str) -> torch.T
 @pytest.mark.parametrize("lights", SCENES)
 def test_shade_is_as_the_eager_form(model, level, lights, camera) -> None:
     gbuffer = scene(camera)
-    found, expected = (lit(model, gbuffer, SCENES[lights], which) for which in (level, kernel.OFF))
+    found, expected = (lit(model, gbuffer, SCENES[lights], which) for which in (level, simd.OFF))
     assert found.shape == expected.expand_as(found).shape
     torch.testing.assert_close(found, expected.expand_as(found), rtol=1e-4, atol=3e-5)
 
@@ -550,14 +550,17 @@ def test_skipped_pixels_change_nothing(model, level, mask) -> None:
     weight = torch.nan_to_num(kept.float(), nan=0.0).clamp(0, 1)
     assert torch.equal(found, whole * weight)
     torch.testing.assert_close(
-        found, lit(model, scene(mask=kept), SCENES["several"], kernel.OFF), rtol=1e-4, atol=3e-5
+        found,
+        lit(model, scene(mask=kept), SCENES["several"], simd.OFF),
+        rtol=1e-4,
+        atol=3e-5,
     )
 
 
 def test_wrong_batches_of_lights_are_one_line(model) -> None:
     lights = rt.DirectionalLight(torch.ones(3, 3))
     with pytest.raises(InputError, match=r"^[^\n]*broadcast[^\n]*$"):
-        lit(model, scene(), lights, kernel.LEVELS[-1])
+        lit(model, scene(), lights, simd.LEVELS[-1])
     no_position = rt.GBuffer(scene().normal, view=(0.0, 0.0, 1.0))
     with pytest.raises(InputError, match="needs the G-buffer's position"):
-        lit(model, no_position, rt.PointLight((0.0, 0.0, 1.0)), kernel.LEVELS[-1])
+        lit(model, no_position, rt.PointLight((0.0, 0.0, 1.0)), simd.LEVELS[-1])

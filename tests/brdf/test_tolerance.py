@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raden_torch as rt
-from raden_torch.brdf import kernel
+from raden_torch.brdf import kernel, simd
 from raden_torch.brdf.lit_sphere import lit_sphere
 from raden_torch.brdf.model import CosineDiffuse
 from raden_torch.brdf.table import ReflectanceTable
 from raden_torch.errors import InputError
 
-needs_kernel = pytest.mark.skipif(not kernel.LEVELS, reason="the kernel was not built here")
+needs_kernel = pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
 
 
 @pytest.fixture(scope="module")
@@ -71,11 +71,11 @@ def spheres(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 
 @needs_kernel
-@pytest.mark.parametrize("level", kernel.LEVELS)
+@pytest.mark.parametrize("level", simd.LEVELS)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-2, 0.1, 1.0])
 def test_what_lights_lose_stays_within_the_tolerance(model, level, tolerance) -> None:
     gbuffer, lights = plate(64, 200), lamps(40, rt.PointLight)
-    with kernel.using(level):
+    with simd.using(level):
         exact = rt.shade(model, gbuffer, lights)
         found = rt.shade(model, gbuffer, lights, tolerance=tolerance)
     lost = (exact - found).amax()
@@ -84,13 +84,13 @@ def test_what_lights_lose_stays_within_the_tolerance(model, level, tolerance) ->
 
 
 @needs_kernel
-@pytest.mark.parametrize("level", kernel.LEVELS)
+@pytest.mark.parametrize("level", simd.LEVELS)
 def test_spots_that_shine_past_a_tile_are_not_missed(model, level) -> None:
     gbuffer, lights = plate(64, 200), lamps(30, rt.SpotLight)
-    with kernel.using(level):
+    with simd.using(level):
         together = rt.shade(model, gbuffer, lights)
         one_by_one = sum(rt.shade(model, gbuffer, light) for light in lights)
-    with kernel.using(kernel.OFF):
+    with simd.using(simd.OFF):
         eager = rt.shade(model, gbuffer, lights)
     torch.testing.assert_close(together, one_by_one, rtol=1e-5, atol=1e-5)
     torch.testing.assert_close(together, eager, rtol=1e-4, atol=1e-4)
@@ -111,13 +111,13 @@ def test_any_spot_lights_what_the_eager_form_lights(at, target, outer) -> None:
     flat = rt.RadenBrdf(CosineDiffuse(torch.ones(3), torch.full((3,), 0.1)), None)
     flat.requires_grad_(False)
     spot = rt.SpotLight(at, target, inner_deg=0.5, outer_deg=outer)
-    with kernel.using(kernel.OFF):
+    with simd.using(simd.OFF):
         eager = rt.shade(flat, gbuffer, spot)
     torch.testing.assert_close(rt.shade(flat, gbuffer, spot), eager, rtol=1e-3, atol=1e-4)
 
 
 @needs_kernel
-@pytest.mark.parametrize("level", kernel.LEVELS)
+@pytest.mark.parametrize("level", simd.LEVELS)
 @pytest.mark.parametrize("count", [1, 6])
 def test_a_lit_sphere_stays_within_the_tolerance(model, level, count, spheres) -> None:
     gbuffer, lights = plate(700, 1100), distant(count)
@@ -127,7 +127,7 @@ def test_a_lit_sphere_stays_within_the_tolerance(model, level, count, spheres) -
     behind[..., 51, :] = float("nan")
     for normal in (gbuffer.normal, behind):
         scene = rt.GBuffer(normal, view=gbuffer.view, mask=torch.rand(1, 1, 700, 1100))
-        with kernel.using(level):
+        with simd.using(level):
             exact = rt.shade(model, scene, lights)
             tolerance = 0.03 * float(exact.amax())
             found = rt.shade(model, scene, lights, tolerance=tolerance)
