@@ -5,7 +5,7 @@ The differences d of the readings at common geometries have the covariance
     C = diag(v) + Σ_k u_k u_k′,
 
 v from each reading's own errors, u_k from what one standard deviation of each shared error does to
-all readings: the scale of each measurement, the zeros of each one's axes. χ² = d′ C⁻¹ d has as many
+all readings: the ratio of the two scales, the zeros of each one's axes. χ² = d′ C⁻¹ d has as many
 degrees of freedom as there are differences. The channels' errors are not independent of each other
 (a lamp's or a camera's noise is in all of them), so that each has its χ²; together they are judged
 by the smallest p, times their number (Bonferroni).
@@ -159,12 +159,11 @@ def compare(first: BrdfMeasurement, second: BrdfMeasurement) -> Comparison:
             "interpolate; measure some cells of one in the other, too"
         )
     at = where.select(where.valid).select(rows)
-    same_scale = _same_scale(pair)
-    pairs = [_Pair.of(a, b, channel, same_scale) for channel in range(len(channels))]
+    scale_std = _scale_std(pair)
+    pairs = [_Pair.of(a, b, channel) for channel in range(len(channels))]
     judged = channels.index("Y") if "Y" in channels else len(channels) // 2
     masks = {name: mask for name, mask in regions(at).items() if mask.any()}
     masks["all"] = np.ones(len(rows), bool)
-    scale_stds = [0.0 if same_scale else m.metadata.common.scale_std for m in pair]
     return Comparison(
         names=(first.metadata.sample, second.metadata.sample),
         simulated=(first.metadata.simulated, second.metadata.simulated),
@@ -173,9 +172,11 @@ def compare(first: BrdfMeasurement, second: BrdfMeasurement) -> Comparison:
         judged=channels[judged],
         interpolated=interpolated,
         without_partner=(left[0], left[1]),
-        regions=tuple(_region(name, pairs[judged].within(mask)) for name, mask in masks.items()),
-        by_channel=tuple(one.chi2 for one in pairs),
-        scale=_scale(pairs[judged], math.hypot(*scale_stds)),
+        regions=tuple(
+            _region(name, pairs[judged].within(mask), scale_std) for name, mask in masks.items()
+        ),
+        by_channel=tuple(one.covariance(scale_std).chi2(one.difference) for one in pairs),
+        scale=_scale(pairs[judged], scale_std),
     )
 
 
@@ -195,10 +196,12 @@ def common_channels(measurements: tuple[BrdfMeasurement, ...]) -> tuple[str, ...
     return measurements[0].channels if same else XYZ
 
 
-def _same_scale(pair: tuple[BrdfMeasurement, BrdfMeasurement]) -> bool:
-    """Whether both name the same reference for their scale: its error then cancels."""
-    a, b = (m.metadata.common.scale_reference for m in pair)
-    return bool(a) and a == b
+def _scale_std(pair: tuple[BrdfMeasurement, BrdfMeasurement]) -> float:
+    """Of the ratio of their scales; 0 where both name the same reference: its error cancels."""
+    a, b = (m.metadata.common for m in pair)
+    if a.scale_reference and a.scale_reference == b.scale_reference:
+        return 0.0
+    return math.hypot(a.scale_std, b.scale_std)
 
 
 @dataclass(frozen=True)
@@ -210,18 +213,15 @@ class _Pair:
     a_variance: Floats
     b_variance: Floats
     zeros: Floats  # [N, 6]
-    scales: Floats  # [N, 2], or [N, 0] where they have one scale
 
     @classmethod
-    def of(cls, a: ErrorParts, b: ErrorParts, channel: int, same_scale: bool) -> _Pair:
-        scales = np.stack([a.scale[:, channel], b.scale[:, channel]], axis=1)
+    def of(cls, a: ErrorParts, b: ErrorParts, channel: int) -> _Pair:
         return cls(
             a.values[:, channel],
             b.values[:, channel],
             a.variance[:, channel],
             b.variance[:, channel],
             np.concatenate([a.zeros[:, channel], b.zeros[:, channel]], axis=1),
-            scales[:, :0] if same_scale else scales,
         )
 
     def within(self, mask: NDArray[np.bool_]) -> _Pair:
@@ -232,38 +232,36 @@ class _Pair:
         return self.b - self.a
 
     @property
-    def covariance(self) -> Covariance:
+    def mean(self) -> Floats:
+        """Weighed by the variances: its noise is then independent of the difference's."""
+        share = self.a_variance / (self.a_variance + self.b_variance)
+        return self.a * (1 - share) + self.b * share
+
+    def covariance(self, scale_std: float) -> Covariance:
+        """Of the difference; `scale_std` of the ratio of the two scales."""
+        scale = scale_std * self.mean[:, None]
         return Covariance(
-            self.a_variance + self.b_variance, np.concatenate([self.zeros, self.scales], axis=1)
+            self.a_variance + self.b_variance, np.concatenate([self.zeros, scale], axis=1)
         )
 
-    @property
-    def chi2(self) -> Chi2:
-        return self.covariance.chi2(self.difference)
 
-
-def _region(name: str, pair: _Pair) -> RegionComparison:
-    mean = abs(pair.a + pair.b) / 2
-    mean = np.maximum(mean, 1e-9 * max(float(mean.max()), 1e-9))
+def _region(name: str, pair: _Pair, scale_std: float) -> RegionComparison:
+    mean = np.maximum(abs(pair.mean), 1e-9 * max(float(abs(pair.mean).max()), 1e-9))
     relative = pair.difference / mean
+    covariance = pair.covariance(scale_std)
     return RegionComparison(
         name,
         len(mean),
         float(np.median(abs(relative))),
         float(np.median(relative)),
-        float(np.median(pair.covariance.std / mean)),
-        pair.chi2,
+        float(np.median(covariance.std / mean)),
+        covariance.chi2(pair.difference),
     )
 
 
 def _scale(pair: _Pair, stated_std: float) -> ScaleComparison:
-    """d = s m + errors by generalised least squares; the factor is 1 + s.
-
-    m is the mean of both, weighed by their variances: its noise is then independent of d's.
-    """
-    covariance = Covariance(pair.a_variance + pair.b_variance, pair.zeros)
-    share = pair.a_variance / covariance.variance
-    mean = pair.a * (1 - share) + pair.b * share
+    """d = s m + errors by generalised least squares; the factor is 1 + s."""
+    covariance, mean = pair.covariance(0.0), pair.mean
     information = float(mean @ covariance.solve(mean))
     excess = float(mean @ covariance.solve(pair.difference)) / information
     left = covariance.chi2(pair.difference - excess * mean)

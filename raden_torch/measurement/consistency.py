@@ -17,7 +17,8 @@ A standard deviation is not known better: from 13 readings it is itself uncertai
 SIGNIFICANT = 0.01
 """A p-value below is no chance."""
 CONTRADICTION_STD = 6.0
-"""Two readings of one geometry that differ by more of their standard deviations contradict."""
+"""Readings of one geometry contradict where two differ by more of their standard deviations, or
+several by what is as improbable."""
 
 
 @dataclass(frozen=True)

@@ -21,19 +21,17 @@ _LEAST_STD = 1e-9  # relative to the largest value: rounding, where no error is 
 @dataclass(frozen=True)
 class ErrorParts:
     """N valid readings of C channels. The covariance of a channel is diag(`variance`) + U U′ with
-    the columns of `zeros` and `scale` as U.
+    the columns of `zeros` as U; the scale's error is beside it, in the metadata.
 
     Attributes:
         values: `[N, C]`.
         variance: `[N, C]` of each reading's own error.
         zeros: `[N, C, 3]` what one standard deviation of each axis' zero does.
-        scale: `[N, C]` what one standard deviation of the scale does.
     """
 
     values: Floats
     variance: Floats
     zeros: Floats
-    scale: Floats
 
     def interpolated(self, weights: Floats, rows: Rows, added: Floats) -> ErrorParts:
         """At N′ places: each `weights` `[N′, K]` times the readings `rows` `[N′, K]`.
@@ -43,13 +41,11 @@ class ErrorParts:
         """
         mixed = lambda column: np.einsum("nk,nk...->n...", weights, column[rows])  # noqa: E731
         variance = np.einsum("nk,nkc->nc", weights**2, self.variance[rows]) + added**2
-        return ErrorParts(mixed(self.values), variance, mixed(self.zeros), mixed(self.scale))
+        return ErrorParts(mixed(self.values), variance, mixed(self.zeros))
 
     def at(self, rows: Rows) -> ErrorParts:
         """Some of the readings."""
-        return ErrorParts(
-            self.values[rows], self.variance[rows], self.zeros[rows], self.scale[rows]
-        )
+        return ErrorParts(self.values[rows], self.variance[rows], self.zeros[rows])
 
 
 def error_parts(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> ErrorParts:
@@ -76,12 +72,10 @@ def error_parts(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> Erro
         own = np.maximum(square - (zeros**2).sum(axis=-1), _LEAST_OWN**2 * square)
         variance = np.maximum(own, floor)
     matrix = matrix_to(m, channels)
-    values = m.values @ matrix.T
     return ErrorParts(
-        values,
+        m.values @ matrix.T,
         variance @ (matrix**2).T,
         np.einsum("ncz,dc->ndz", zeros, matrix),
-        common.scale_std * values,
     )
 
 

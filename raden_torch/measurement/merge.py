@@ -23,13 +23,13 @@ from raden_torch.errors import InputError
 from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.compare import common_channels
-from raden_torch.measurement.consistency import Chi2
+from raden_torch.measurement.consistency import CONTRADICTION_STD, MAX_BIRGE, Chi2
 from raden_torch.measurement.matching import DIGITS, angles_deg
 from raden_torch.measurement.readings import BrdfMeasurement, Floats, Metadata
 
 _ROUNDS = 50
+_REFUSED_P = 1e-6  # what chance alone may refuse
 _SETTLED = 1e-12
-_ONE_IN = 1000.0  # merges, chance alone would make a cell contradict
 _WORST = 3  # cells that are named
 
 
@@ -244,7 +244,8 @@ class _Consistency:
 
     @property
     def found(self) -> bool:
-        return bool(self.contradicts.any()) or not self.overall.agrees
+        scattered = self.overall.p < _REFUSED_P and self.overall.birge > MAX_BIRGE
+        return bool(self.contradicts.any()) or scattered
 
 
 def _consistency(stack: _Stack, values: Floats, mean: Floats, weight: Floats) -> _Consistency:
@@ -253,12 +254,11 @@ def _consistency(stack: _Stack, values: Floats, mean: Floats, weight: Floats) ->
     chi2 = stack.total((values - mean[stack.cell]) ** 2 * weight)
     dof = np.bincount(stack.cell, minlength=len(stack.angles)) - 1
     largest = chi2.max(axis=1)
-    shared = int((dof > 0).sum())
-    chance = chdtrc(np.maximum(dof, 1), largest) * shared * chi2.shape[1]
+    chance = chdtrc(np.maximum(dof, 1), largest)
     per_channel = [Chi2(float(column[dof > 0].sum()), int(dof.sum())) for column in chi2.T]
     return _Consistency(
         np.where(dof > 0, largest / np.maximum(dof, 1), 0.0),
-        (dof > 0) & (chance < 1.0 / _ONE_IN),
+        (dof > 0) & (chance < chdtrc(1, CONTRADICTION_STD**2)),
         max(per_channel, key=lambda one: one.value),
     )
 
