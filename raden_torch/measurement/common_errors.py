@@ -1,9 +1,10 @@
 """Errors that all readings of a measurement share, and what they do to each reading.
 
 A common error moves all values together, so it does not average out over cells and says nothing
-about how well they compare with each other. Two kinds are stated in a measurement's file:
+about how well they compare with each other. Three kinds are stated in a measurement's file:
 
 - the scale's (the white reference's certificate): value · `scale_std`. It is not in `std`.
+- the mean of all white readings that a scan was divided by: its noise is a scale error of its own.
 - the axes' zeros: angles that are off by one amount in the whole measurement. Where a white
   reference was read at one geometry w and the irradiance follows cos a cos t,
 
@@ -11,7 +12,7 @@ about how well they compare with each other. Two kinds are stated in a measureme
       dR/dr₀ = ∂R/∂r,
       dR/dt₀ = ∂R/∂t + R (tan t_w − tan t).
 
-  It is in `std`, since a reader of one cell needs it there.
+The last two are in `std`, since a reader of one cell needs them there.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 _NONE: Triple = (0.0, 0.0, 0.0)
-KEYS = ("scale_std", "scale_reference", "zero_std_deg", "white_deg")
+KEYS = ("scale_std", "scale_reference", "white_mean_std", "zero_std_deg", "white_deg")
 """The header entries of a measurement file."""
 
 
@@ -41,6 +42,8 @@ class CommonErrors:
         scale_std: relative, of all values together; 0 where none is stated.
         scale_reference: what the scale comes from, as "tile 1234". Measurements that name the same
             reference share its error.
+        white_mean_std: relative, of the mean of the white readings: not shared by a second scan,
+            whatever its reference.
         zero_std_deg: of the zeros of incidence, receiving and tilt.
         white_deg: incidence, receiving and tilt of the white reference; None where the irradiance
             was compared in every cell.
@@ -51,12 +54,14 @@ class CommonErrors:
 
     scale_std: float = 0.0
     scale_reference: str = ""
+    white_mean_std: float = 0.0
     zero_std_deg: Triple = _NONE
     white_deg: Triple | None = None
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.scale_std < 1.0:
-            raise InputError(f"measurement: scale_std = {self.scale_std:g}; 0…1 was wanted")
+        for name in ("scale_std", "white_mean_std"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise InputError(f"measurement: {name} = {getattr(self, name):g}; 0…1 was wanted")
         if not all(0.0 <= std <= 10.0 for std in self.zero_std_deg):
             raise InputError(
                 f"measurement: zero_std_deg = {_words(self.zero_std_deg)}; three numbers in "
@@ -73,6 +78,7 @@ class CommonErrors:
         stated = {
             "scale_std": repr(self.scale_std) if self.scale_std else "",
             "scale_reference": self.scale_reference,
+            "white_mean_std": repr(self.white_mean_std) if self.white_mean_std else "",
             "zero_std_deg": _words(self.zero_std_deg) if any(self.zero_std_deg) else "",
             "white_deg": "" if self.white_deg is None else _words(self.white_deg),
         }
@@ -83,8 +89,9 @@ class CommonErrors:
         """What `as_entries` wrote. Raises InputError where it is not numbers, or out of range."""
         white = entries.get("white_deg")
         return cls(
-            scale_std=_numbers(entries, "scale_std", 1)[0] if "scale_std" in entries else 0.0,
+            scale_std=_share(entries, "scale_std"),
             scale_reference=entries.get("scale_reference", ""),
+            white_mean_std=_share(entries, "white_mean_std"),
             zero_std_deg=_triple(entries, "zero_std_deg") if "zero_std_deg" in entries else _NONE,
             white_deg=None if white is None else _triple(entries, "white_deg"),
         )
@@ -110,6 +117,10 @@ def zero_sensitivity(
 
 def _words(numbers: Triple) -> str:
     return " ".join(f"{number!r}" for number in numbers)
+
+
+def _share(entries: Mapping[str, str], key: str) -> float:
+    return _numbers(entries, key, 1)[0] if key in entries else 0.0
 
 
 def _triple(entries: Mapping[str, str], key: str) -> Triple:

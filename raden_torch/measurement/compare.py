@@ -197,11 +197,12 @@ def common_channels(measurements: tuple[BrdfMeasurement, ...]) -> tuple[str, ...
 
 
 def _scale_std(pair: tuple[BrdfMeasurement, BrdfMeasurement]) -> float:
-    """Of the ratio of their scales; 0 where both name the same reference: its error cancels."""
+    """Of the ratio of their scales; where both name the same reference, its error cancels."""
     a, b = (m.metadata.common for m in pair)
+    own = math.hypot(a.white_mean_std, b.white_mean_std)
     if a.scale_reference and a.scale_reference == b.scale_reference:
-        return 0.0
-    return math.hypot(a.scale_std, b.scale_std)
+        return own
+    return math.hypot(own, a.scale_std, b.scale_std)
 
 
 @dataclass(frozen=True)

@@ -216,9 +216,10 @@ def _effects(common: list[CommonErrors]) -> Floats:
     """`[S, G]`: what one standard deviation of each independent scale does to each measurement."""
     references = [one.scale_reference or f"\0{number}" for number, one in enumerate(common)]
     names = sorted(set(references))
-    effect = np.zeros((len(common), len(names)))
+    effect = np.zeros((len(common), len(names) + len(common)))
     for row, (reference, one) in enumerate(zip(references, common, strict=True)):
         effect[row, names.index(reference)] = one.scale_std
+        effect[row, len(names) + row] = one.white_mean_std
     return effect
 
 
@@ -308,8 +309,8 @@ def _metadata(
         common=CommonErrors(
             float(f"{scales.remaining:.9g}"),  # the same in any order, beyond rounding
             references.pop() if len(references) == 1 else "",
-            (a, r, t),
-            whites.pop() if len(whites) == 1 else None,
+            zero_std_deg=(a, r, t),
+            white_deg=whites.pop() if len(whites) == 1 else None,
         ),
         other=tuple(numbered),
         notes=note if enlarged > 1.0 else (),

@@ -8,8 +8,8 @@
 
 Rows in any order, gaps allowed. Optional columns: `azimuth_deg`, `std_<channel>`, `count`, `valid`
 (0 or 1). An empty or `nan` value is a reading without a value. `readings`, where it is given, must
-be the number of rows: that is how a file cut at the end of a line is noticed. `scale_std`,
-`scale_reference`, `zero_std_deg` and `white_deg` are `CommonErrors`; they may be missing.
+be the number of rows: that is how a file cut at the end of a line is noticed. The entries
+of `CommonErrors` (`scale_std` and others) may be missing.
 """
 
 from __future__ import annotations

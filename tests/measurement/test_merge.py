@@ -163,7 +163,7 @@ def test_what_has_no_weight_is_refused() -> None:
 
 
 def test_what_is_common_survives_the_file(tmp_path: Path) -> None:
-    common = CommonErrors(0.0123456789, "tile 1234", (0.05, 0.06, 0.07), (45.0, 0.0, -5.0))
+    common = CommonErrors(0.0123456789, "tile 1234", 0.001, (0.05, 0.06, 0.07), (45.0, 0.0, -5.0))
     m = readings(1)
     m = replace(m, metadata=replace(m.metadata, common=common))
     m.save(tmp_path / "m.csv")

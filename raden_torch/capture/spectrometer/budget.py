@@ -69,13 +69,18 @@ class GeometryTerms:
     zeros: Floats
 
 
-def common_errors(header: Header) -> CommonErrors:
-    """What the readings of a scan share, as their measurement states it."""
+def common_errors(header: Header, white_mean_std: float) -> CommonErrors:
+    """What the readings of a scan share, as their measurement states it.
+
+    Args:
+        white_mean_std: relative, of the mean of all its white readings.
+    """
     here = header.white.position
     at_cells = bool(header.white.at_cells)
     return CommonErrors(
         scale_std=header.white.relative_std,
         scale_reference=header.white.name if header.white.relative_std else "",
+        white_mean_std=white_mean_std,
         zero_std_deg=header.stated.zero_std_deg,
         white_deg=None if at_cells else (here.incidence_deg, here.receiving_deg, here.tilt_deg),
     )

@@ -22,6 +22,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.capture.spectrometer import contradictions
 from raden_torch.capture.spectrometer.budget import (
     Budget,
     common_errors,
@@ -58,6 +59,7 @@ class Reduced:
         white_single_std: `[3]` relative standard deviation of single white readings.
         repeat_std: `[3]` median over the cells of the relative standard deviation of single
             readings of a cell; NaN without repeats.
+        warnings: readings that contradict each other; see `contradictions`.
     """
 
     measurement: BrdfMeasurement
@@ -70,13 +72,15 @@ class Reduced:
     white_time_s: Floats
     white_single_std: Floats
     repeat_std: Floats
+    warnings: tuple[str, ...] = ()
 
 
 def reduce_readings(contents: Contents) -> Reduced:
     """The measurement that a journal holds; see the module's text for the formula.
 
     Raises:
-        InputError: no dark or white series, a white that gives no light, or no reading in range.
+        InputError: no dark or white series, a white that gives no light, no reading in range, or
+            readings that contradict each other (`contradictions`).
     """
     header, plan = contents.header, contents.header.plan
     if not isinstance(plan, FixedPlan):
@@ -115,6 +119,10 @@ def reduce_readings(contents: Contents) -> Reduced:
     with np.errstate(invalid="ignore", divide="ignore"):
         own_std = spread * np.sqrt(n / (n - 1.0))
     single = factor * np.hypot(ratio * lamp.white_single_std, lamp.dark_single_std)
+    warnings = (
+        *contradictions.of_repeats(factor * ratio, index, values, single, cells),
+        *contradictions.of_white(lamp.white_level, lamp.white_time_s),
+    )
     # dark is in the white, too: d ratio / d D = (ratio − 1) / W
     dark_noise = factor * abs(1 - ratio) * np.hypot(*lamp.dark_share(times)) * lamp.dark_single_std
     budget = _ReadingTerms(
@@ -134,6 +142,7 @@ def reduce_readings(contents: Contents) -> Reduced:
         budget,
         count,
         np.median(repeats, axis=0) if len(repeats) else np.full(3, np.nan),
+        warnings,
     )
 
 
@@ -208,6 +217,11 @@ class _Lamp:
         """`[2, N, 1]`: what the series before and after weigh, over √ of their readings."""
         return _share(time_s, self.white_time_s, self._white_count)
 
+    def white_mean_std(self, move_std: float) -> float:
+        """Relative, in Y, of the mean of all white readings; `move_std` of each series."""
+        noise = self.white_single_std[1] / np.sqrt(self._white_count.sum())
+        return float(np.hypot(noise, move_std / np.sqrt(len(self._white_count))))
+
     def dark_share(self, time_s: Floats) -> Floats:
         return _share(time_s, self._dark_time, self._dark_count)
 
@@ -268,6 +282,7 @@ def _sorted(
     terms: _ReadingTerms,
     count: NDArray[np.int64],
     repeat_std: Floats,
+    warnings: tuple[str, ...],
 ) -> Reduced:
     """The cells of the plan and those it excluded, in the order of their angles."""
     over, under = (_out_of_range(contents, which) for which in (Range.OVER, Range.UNDER))
@@ -297,7 +312,7 @@ def _sorted(
             sample=header.sample,
             instrument=f"{header.goniometer}; {header.colorimeter}",
             simulated=header.simulated,
-            common=common_errors(header),
+            common=common_errors(header, lamp.white_mean_std(white_move_std(header))),
         ),
     )
     geometry = geometry_terms(measurement, header)
@@ -317,6 +332,7 @@ def _sorted(
         white_time_s=lamp.white_time_s,
         white_single_std=lamp.white_single_std,
         repeat_std=repeat_std,
+        warnings=warnings,
     )
 
 
