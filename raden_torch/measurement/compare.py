@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.measurement.consistency import MAX_BIRGE, SIGNIFICANT, Chi2, Covariance
-from raden_torch.measurement.error_parts import ErrorParts, error_parts
+from raden_torch.measurement.error_parts import ErrorParts, Rows, error_parts
 from raden_torch.measurement.matching import interpolated_at, same_geometries
 from raden_torch.measurement.readings import XYZ, BrdfMeasurement, Floats
 from raden_torch.measurement.regions import regions
@@ -139,39 +139,74 @@ def compare(first: BrdfMeasurement, second: BrdfMeasurement) -> Comparison:
         InputError: no common geometries, another white or observer, or channels without a colour.
     """
     pair = (first, second)
-    channels = common_channels(pair)
-    parts = [error_parts(m, channels) for m in pair]
-    counts = [int(m.valid.sum()) for m in pair]
-    matched = same_geometries(first, second)
-    interpolated = len(matched.first) < _ENOUGH_SHARED * min(counts)
-    if not interpolated:
-        a, b = parts[0].at(matched.first), parts[1].at(matched.second)
-        rows, where, left = matched.first, first, [n - len(matched.first) for n in counts]
-    else:
-        dense = int(counts[1] >= counts[0])
-        where = pair[1 - dense]
-        rows, found = interpolated_at(where, pair[dense], parts[dense])
-        a, b = [parts[1 - dense].at(rows), found][:: 1 if dense else -1]
-        left = [counts[1 - dense] - len(rows), 0][:: 1 if dense else -1]
-    if not len(rows):
+    shared = len(same_geometries(first, second).first)
+    few = shared < _ENOUGH_SHARED * min(int(m.valid.sum()) for m in pair)
+    common = _interpolated(pair) if few else _at_same(pair)
+    if not len(common.rows):
         raise InputError(
             "measurements: they have no geometries in common, and none close enough to "
             "interpolate; measure some cells of one in the other, too"
         )
-    at = where.select(where.valid).select(rows)
+    return _compared(pair, common)
+
+
+def compare_shared(first: BrdfMeasurement, second: BrdfMeasurement) -> Comparison | None:
+    """As `compare`, at the same geometries alone; None where there are none."""
+    common = _at_same((first, second))
+    return _compared((first, second), common) if len(common.rows) else None
+
+
+@dataclass(frozen=True)
+class _Common:
+    """Both measurements at N common geometries: `rows` of the valid readings of `of`."""
+
+    of: BrdfMeasurement
+    rows: Rows
+    a: ErrorParts
+    b: ErrorParts
+    left: tuple[int, int]
+    interpolated: bool
+
+
+def _at_same(pair: tuple[BrdfMeasurement, BrdfMeasurement]) -> _Common:
+    matched, channels = same_geometries(*pair), common_channels(pair)
+    rows = (matched.first, matched.second)
+    a, b = (error_parts(m, channels).at(at) for m, at in zip(pair, rows, strict=True))
+    left = (int(pair[0].valid.sum()) - len(rows[0]), int(pair[1].valid.sum()) - len(rows[1]))
+    return _Common(pair[0], rows[0], a, b, left, False)
+
+
+def _interpolated(pair: tuple[BrdfMeasurement, BrdfMeasurement]) -> _Common:
+    """The denser one at the other's geometries."""
+    first, second = pair
+    channels = common_channels(pair)
+    swapped = first.valid.sum() > second.valid.sum()
+    coarse, dense = (second, first) if swapped else (first, second)
+    rows, found = interpolated_at(coarse, dense, error_parts(dense, channels))
+    own = error_parts(coarse, channels).at(rows)
+    alone = int(coarse.valid.sum()) - len(rows)
+    if swapped:
+        return _Common(coarse, rows, found, own, (0, alone), True)
+    return _Common(coarse, rows, own, found, (alone, 0), True)
+
+
+def _compared(pair: tuple[BrdfMeasurement, BrdfMeasurement], common: _Common) -> Comparison:
+    first, second = pair
+    channels = common_channels(pair)
+    at = common.of.select(np.flatnonzero(common.of.valid)[common.rows])
     scale_std = _scale_std(pair)
-    pairs = [_Pair.of(a, b, channel) for channel in range(len(channels))]
+    pairs = [_Pair.of(common.a, common.b, channel) for channel in range(len(channels))]
     judged = channels.index("Y") if "Y" in channels else len(channels) // 2
     masks = {name: mask for name, mask in regions(at).items() if mask.any()}
-    masks["all"] = np.ones(len(rows), bool)
+    masks["all"] = np.ones(len(at), bool)
     return Comparison(
         names=(first.metadata.sample, second.metadata.sample),
         simulated=(first.metadata.simulated, second.metadata.simulated),
         std_stated=(first.std is not None, second.std is not None),
         channels=channels,
         judged=channels[judged],
-        interpolated=interpolated,
-        without_partner=(left[0], left[1]),
+        interpolated=common.interpolated,
+        without_partner=common.left,
         regions=tuple(
             _region(name, pairs[judged].within(mask), scale_std) for name, mask in masks.items()
         ),

@@ -14,22 +14,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
-from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.common_errors import CommonErrors
-from raden_torch.measurement.compare import common_channels
+from raden_torch.measurement.compare import compare_shared
 from raden_torch.measurement.consistency import CONTRADICTION_STD, MAX_BIRGE, Chi2
-from raden_torch.measurement.matching import DIGITS, angles_deg
 from raden_torch.measurement.readings import BrdfMeasurement, Floats, Metadata
+from raden_torch.measurement.scale_alignment import Scales, aligned_scales
+from raden_torch.measurement.stack import Stack
 
-_ROUNDS = 50
 _REFUSED_P = 1e-6  # what chance alone may refuse
-_SETTLED = 1e-12
+_ADVICE = (
+    "see `raden info A B` for where they differ, leave one out, or enlarge the uncertainties by "
+    "--robust"
+)
 _WORST = 3  # cells that are named
 
 
@@ -82,6 +84,39 @@ def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> M
         InputError: fewer than two, one without standard deviations, another white or observer, or
             readings that contradict each other beyond them.
     """
+    _check(measurements)
+    stack = Stack.of(measurements)
+    scales = aligned_scales(stack, [m.metadata.common for m in measurements])
+    values, weight = stack.rescaled(scales.errors)
+    mean = stack.mean(values, weight)
+    scatter = _scatter(stack, values, mean, weight)
+    if not robust:
+        if scatter.contradicts.any():
+            raise InputError(_contradiction(stack, values, scatter))
+        _check_pairs(measurements)
+    enlarged = max(1.0, scatter.overall.birge) if robust else 1.0
+    merged = BrdfMeasurement(
+        stack.angles[:, 0],
+        stack.angles[:, 1],
+        stack.angles[:, 2],
+        values=mean,
+        channels=stack.channels,
+        azimuth_deg=None if measurements[0].azimuth_deg is None else stack.angles[:, 3],
+        std=stack.total(weight) ** -0.5 * _growth(stack, scatter, enlarged)[:, None],
+        count=stack.total(stack.count[:, None])[:, 0].astype(np.int64),
+        metadata=_metadata(measurements, scales, enlarged),
+    )
+    return Merged(
+        merged,
+        int(stack.several.sum()),
+        tuple(np.exp(scales.errors).tolist()),
+        scatter.overall,
+        int(scatter.contradicts.sum()),
+        enlarged,
+    )
+
+
+def _check(measurements: Sequence[BrdfMeasurement]) -> None:
     if len(measurements) < 2:
         raise InputError("merge: two measurements or more were wanted")
     for number, m in enumerate(measurements, 1):
@@ -92,164 +127,31 @@ def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> M
             )
     if len({m.azimuth_deg is None for m in measurements}) > 1:
         raise InputError("merge: some have a sample azimuth and some have none; give it to all")
-    stack = _Stack.of(measurements)
-    scales = _scales(stack, [m.metadata.common for m in measurements])
-    values, weight = stack.rescaled(scales.errors)
-    mean, std = stack.mean(values, weight), stack.total(weight) ** -0.5
-    consistency = _consistency(stack, values, mean, weight)
-    if consistency.found and not robust:
-        raise InputError(_contradiction(stack, values, consistency))
-    enlarged = max(1.0, consistency.overall.birge) if robust else 1.0
-    several = stack.several
-    std = np.where(several[:, None], std * enlarged, std)
-    if robust:
-        own = np.maximum(np.sqrt(consistency.per_cell) / enlarged, 1.0)
-        std = np.where(consistency.contradicts[:, None], std * own[:, None], std)
-    merged = BrdfMeasurement(
-        stack.angles[:, 0],
-        stack.angles[:, 1],
-        stack.angles[:, 2],
-        values=mean,
-        channels=stack.channels,
-        azimuth_deg=None if measurements[0].azimuth_deg is None else stack.angles[:, 3],
-        std=std,
-        count=stack.total(stack.count[:, None])[:, 0].astype(np.int64),
-        metadata=_metadata(measurements, scales, enlarged),
-    )
-    return Merged(
-        merged,
-        int(several.sum()),
-        tuple(np.exp(scales.errors).tolist()),
-        consistency.overall,
-        int(consistency.contradicts.sum()),
-        enlarged,
-    )
+
+
+def _check_pairs(measurements: Sequence[BrdfMeasurement]) -> None:
+    """Refuse two that disagree as a whole, their shared errors taken as such (`compare`)."""
+    for (i, first), (j, second) in combinations(enumerate(measurements, 1), 2):
+        c = compare_shared(first, second)
+        if c is None:
+            continue
+        if c.p < _REFUSED_P and c.birge > MAX_BIRGE:
+            by = f"by {c.birge:.3g} times their uncertainty"
+        elif c.scale.deviations > CONTRADICTION_STD:
+            by = f"in scale by {c.scale.deviations:.3g} standard deviations"
+        else:
+            continue
+        raise InputError(f"merge: measurements {i} and {j} differ {by} over all cells; {_ADVICE}")
 
 
 @dataclass(frozen=True)
-class _Stack:
-    """All valid readings `[N]` of all measurements, and which cell `[K]` each is of."""
-
-    channels: tuple[str, ...]
-    angles: Floats  # [K, 4]
-    cell: NDArray[np.intp]  # [N]
-    source: NDArray[np.intp]  # [N]
-    values: Floats  # [N, C]
-    weight: Floats  # [N, C]
-    count: Floats  # [N]
-
-    @classmethod
-    def of(cls, measurements: Sequence[BrdfMeasurement]) -> _Stack:
-        channels = common_channels(tuple(measurements))
-        kept = [m.select(m.valid) for m in measurements]
-        angles = np.concatenate([np.round(angles_deg(m), DIGITS) + 0.0 for m in kept])
-        cells, cell = np.unique(angles, axis=0, return_inverse=True)
-        values, variances = [], []
-        for m in kept:
-            matrix = matrix_to(m, channels)
-            values.append(m.values @ matrix.T)
-            variances.append(np.nan_to_num(cast(Floats, m.std)) ** 2 @ (matrix**2).T)
-        stacked, variance = np.concatenate(values), np.concatenate(variances)
-        floor = (1e-9 * abs(stacked).max(initial=1e-6)) ** 2  # a std of 0 is rounding
-        return cls(
-            channels,
-            cells,
-            cell.ravel(),
-            np.repeat(np.arange(len(kept)), [len(m) for m in kept]),
-            stacked,
-            1.0 / np.maximum(variance, floor),
-            np.concatenate([np.ones(len(m)) if m.count is None else m.count for m in kept]),
-        )
-
-    @property
-    def several(self) -> NDArray[np.bool_]:
-        """`[K]`: more than one measurement has a reading there."""
-        pairs = np.unique(np.stack([self.cell, self.source], axis=1), axis=0)
-        return np.bincount(pairs[:, 0], minlength=len(self.angles)) > 1
-
-    def total(self, rows: Floats) -> Floats:
-        """`[K, C]` sums over the readings of each cell."""
-        cells = len(self.angles)
-        return np.stack([np.bincount(self.cell, column, cells) for column in rows.T], axis=1)
-
-    def rescaled(self, errors: Floats) -> tuple[Floats, Floats]:
-        """`[N, C]` values and weights without these errors `[S]` of the scales."""
-        factor = np.exp(errors)[self.source, None]
-        return self.values / factor, self.weight * factor**2
-
-    def mean(self, values: Floats, weight: Floats) -> Floats:
-        """`[K, C]`; a lone reading is kept to the bit."""
-        mean = self.total(values * weight) / self.total(weight)
-        alone = np.bincount(self.cell, minlength=len(self.angles))[self.cell] == 1
-        mean[self.cell[alone]] = values[alone]
-        return mean
-
-
-@dataclass(frozen=True)
-class _Scales:
-    errors: Floats  # [S] e_s, natural logarithms of factors
-    remaining: float  # relative standard uncertainty of the result's scale
-    share: Floats  # [S] of each measurement's weight in the result
-
-
-def _scales(stack: _Stack, common: list[CommonErrors]) -> _Scales:
-    """Gauss–Newton on z; the cells' means are eliminated in each round."""
-    effect, sources = _effects(common), len(common)
-    z = np.zeros(effect.shape[1])
-    for _ in range(_ROUNDS):
-        values, weight = stack.rescaled(effect @ z)
-        mean = stack.total(values * weight) / stack.total(weight)
-        pull = (weight * mean[stack.cell] * (values - mean[stack.cell])).sum(axis=1)
-        right = np.bincount(stack.source, pull, sources)
-        normal = effect.T @ _information(stack, mean, weight, sources) @ effect
-        system = np.eye(len(z)) + normal
-        before, z = z, np.linalg.solve(system, effect.T @ right + normal @ z)
-        if abs(z - before).max(initial=0.0) < _SETTLED:
-            break
-    share = np.bincount(stack.source, (weight * mean[stack.cell] ** 2).sum(axis=1), sources)
-    mixed = effect.T @ (share / share.sum())
-    remaining = float(np.sqrt(mixed @ np.linalg.solve(system, mixed)))
-    return _Scales(effect @ z, remaining, share / share.sum())
-
-
-def _effects(common: list[CommonErrors]) -> Floats:
-    """`[S, G]`: what one standard deviation of each independent scale does to each measurement."""
-    references = [one.scale_reference or f"\0{number}" for number, one in enumerate(common)]
-    names = sorted(set(references))
-    effect = np.zeros((len(common), len(names) + len(common)))
-    for row, (reference, one) in enumerate(zip(references, common, strict=True)):
-        effect[row, names.index(reference)] = one.scale_std
-        effect[row, len(names) + row] = one.white_mean_std
-    return effect
-
-
-def _information(stack: _Stack, mean: Floats, weight: Floats, sources: int) -> Floats:
-    """`[S, S]`: how well the shared cells know the scales against each other; 0 on their sum."""
-    cells = len(stack.angles)
-    total = np.zeros((sources, sources))
-    for channel in range(len(stack.channels)):
-        each = np.bincount(
-            stack.cell * sources + stack.source, weight[:, channel], cells * sources
-        ).reshape(cells, sources)
-        square = mean[:, channel] ** 2
-        total += np.diag(square @ each)
-        total -= each.T @ (each * (square / each.sum(axis=1))[:, None])
-    return total
-
-
-@dataclass(frozen=True)
-class _Consistency:
+class _Scatter:
     per_cell: Floats  # [K] χ²/dof of the channel where it is largest; 0 for a lone reading
     contradicts: NDArray[np.bool_]  # [K]
     overall: Chi2
 
-    @property
-    def found(self) -> bool:
-        scattered = self.overall.p < _REFUSED_P and self.overall.birge > MAX_BIRGE
-        return bool(self.contradicts.any()) or scattered
 
-
-def _consistency(stack: _Stack, values: Floats, mean: Floats, weight: Floats) -> _Consistency:
+def _scatter(stack: Stack, values: Floats, mean: Floats, weight: Floats) -> _Scatter:
     from scipy.special import chdtrc
 
     chi2 = stack.total((values - mean[stack.cell]) ** 2 * weight)
@@ -257,14 +159,14 @@ def _consistency(stack: _Stack, values: Floats, mean: Floats, weight: Floats) ->
     largest = chi2.max(axis=1)
     chance = chdtrc(np.maximum(dof, 1), largest)
     per_channel = [Chi2(float(column[dof > 0].sum()), int(dof.sum())) for column in chi2.T]
-    return _Consistency(
+    return _Scatter(
         np.where(dof > 0, largest / np.maximum(dof, 1), 0.0),
         (dof > 0) & (chance < chdtrc(1, CONTRADICTION_STD**2)),
         max(per_channel, key=lambda one: one.value),
     )
 
 
-def _contradiction(stack: _Stack, values: Floats, found: _Consistency) -> str:
+def _contradiction(stack: Stack, values: Floats, found: _Scatter) -> str:
     worst = np.argsort(-found.per_cell)[:_WORST]
     named = []
     for cell in worst[found.per_cell[worst] > 0]:
@@ -274,15 +176,20 @@ def _contradiction(stack: _Stack, values: Floats, found: _Consistency) -> str:
         read = " and ".join(f"{value:.5g}" for value in values[here, channel])
         named.append(f"({angles} deg) {stack.channels[channel]} = {read}")
     return (
-        f"merge: {int(found.contradicts.sum())} cells contradict beyond their uncertainty, and all "
-        f"differ by {found.overall.birge:.3g} times it; worst: {'; '.join(named)}; see `raden info "
-        "A B` for where they differ, leave one out, or enlarge the uncertainties by --robust"
+        f"merge: {int(found.contradicts.sum())} cells contradict beyond their uncertainty; worst: "
+        f"{'; '.join(named)}; {_ADVICE}"
     )
 
 
-def _metadata(
-    measurements: Sequence[BrdfMeasurement], scales: _Scales, enlarged: float
-) -> Metadata:
+def _growth(stack: Stack, scatter: _Scatter, enlarged: float) -> Floats:
+    """`[K]`: by how much the standard deviations grow: 1 but in shared cells of a robust merge."""
+    if enlarged == 1.0 and not scatter.contradicts.any():
+        return np.ones(len(stack.angles))
+    own = np.where(scatter.contradicts, np.sqrt(scatter.per_cell), 0.0)
+    return np.where(stack.several, np.maximum(own, enlarged), 1.0)
+
+
+def _metadata(measurements: Sequence[BrdfMeasurement], scales: Scales, enlarged: float) -> Metadata:
     """The same in any order; what was merged stands in the entries."""
     metas = [m.metadata for m in measurements]
     joined = lambda name: "; ".join(sorted({getattr(meta, name) for meta in metas} - {""}))  # noqa: E731
