@@ -30,6 +30,7 @@ def describe_measurement(measurement: BrdfMeasurement) -> str:
     if m.azimuth_deg is not None:
         low, high = m.azimuth_deg.min(), m.azimuth_deg.max()
         lines.append(f"sample azimuth: {low:g}…{high:g} deg, {m.azimuths} values")
+    lines += _uncertainty(m)
     values = m.values[m.valid]
     negative = int((values < 0).any(axis=1).sum())
     if negative:
@@ -42,6 +43,23 @@ def describe_measurement(measurement: BrdfMeasurement) -> str:
         ]
     lines += [f"note: {note}" for note in meta.notes]
     return "\n".join(lines)
+
+
+def _uncertainty(m: BrdfMeasurement) -> list[str]:
+    """What it states of its errors."""
+    lines = []
+    if m.std is None:
+        lines.append("no standard deviations stated")
+    elif m.valid.any():
+        channel = m.channels.index("Y") if "Y" in m.channels else len(m.channels) // 2
+        values = np.maximum(abs(m.values[m.valid, channel]), 1e-9)
+        median = 100 * float(np.median(m.std[m.valid, channel] / values))
+        lines.append(f"standard deviation of {m.channels[channel]}: {median:.3g} % (median)")
+    common = m.metadata.common
+    if common.scale_std:
+        of = f", of {common.scale_reference}" if common.scale_reference else ""
+        lines.append(f"scale of all values: {100 * common.scale_std:.3g} % (standard{of})")
+    return lines
 
 
 def describe_model(model: RadenBrdf) -> str:
