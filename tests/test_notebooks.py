@@ -39,14 +39,14 @@ def test_runs(path: Path, tmp_path: Path) -> None:
     script = (
         "import nbformat, nbclient, sys\n"
         "n = nbformat.read(sys.argv[1], as_version=4)\n"
-        "nbclient.NotebookClient(n, timeout=300, kernel_name='python3').execute()\n"
+        "nbclient.NotebookClient(n, timeout=900, kernel_name='python3').execute()\n"
         "nbformat.write(n, sys.argv[2])\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", script, str(path), str(tmp_path / "run.ipynb")],
         capture_output=True,
         text=True,
-        timeout=400,
+        timeout=1800,
         cwd=tmp_path,
         env=os.environ | {"MPLBACKEND": "module://matplotlib_inline.backend_inline"},
     )

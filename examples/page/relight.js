@@ -102,17 +102,22 @@ const LOADERS = {
 };
 
 async function load(what, blob) {
-  document.body.dataset.ready = "false";
   element("message").textContent = "";
   if (await attempt(() => LOADERS[what](blob))) {
     if (state.shader?.note) element("message").textContent = state.shader.note;
     await redraw();
   }
+}
+
+async function busyWith(job) {
+  document.body.dataset.ready = "false";
+  await job();
   document.body.dataset.ready = "true";
 }
 
 for (const what of Object.keys(LOADERS))
-  element(what).addEventListener("change", ({ target }) => load(what, target.files[0]));
+  element(what).addEventListener("change", ({ target }) =>
+    busyWith(() => load(what, target.files[0])));
 element("exposure").addEventListener("input", redraw);
 element("picture").addEventListener("pointermove", ({ currentTarget, clientX, clientY }) => {
   const box = currentTarget.getBoundingClientRect();
@@ -125,15 +130,16 @@ addEventListener("dragover", (event) => event.preventDefault());
 addEventListener("drop", (event) => {
   event.preventDefault();
   const [file] = event.dataTransfer.files;
-  if (file) load("model", file);
+  if (file) busyWith(() => load("model", file));
 });
 
 // ?data=folder/ loads shell.onnx, photo.png and normals.png from there
 const folder = new URLSearchParams(location.search).get("data");
-if (folder)
-  for (const [what, name] of [["photo", "photo.png"], ["normals", "normals.png"], ["model", "shell.onnx"]]) {
+const files = [["photo", "photo.png"], ["normals", "normals.png"], ["model", "shell.onnx"]];
+await busyWith(async () => {
+  for (const [what, name] of folder ? files : []) {
     const response = await fetch(folder + name);
     if (response.ok) await load(what, await response.blob());
     else element("message").textContent = `${folder}${name} is not there (${response.status}).`;
   }
-document.body.dataset.ready = "true";
+});
