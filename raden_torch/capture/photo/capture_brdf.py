@@ -18,7 +18,7 @@ from raden_torch.capture.photo.brdf.cell_fit import RobustFit
 from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
 from raden_torch.capture.photo.brdf.coverage import Coverage, coverage
 from raden_torch.capture.photo.brdf.lighting import Lamp, lamps_of_shots
-from raden_torch.capture.photo.brdf.movement import Shift, moved, outline_of, shift_of
+from raden_torch.capture.photo.brdf.movement import Edges, edges_near, moved, outline_of
 from raden_torch.capture.photo.brdf.node_colour import NodeColour, budget_of
 from raden_torch.capture.photo.brdf.rays import rays_through
 from raden_torch.capture.photo.brdf.reference_place import WhiteSpec, white_place
@@ -133,20 +133,20 @@ def capture_brdf(
     grid = grid or CellGrid()
     scene = _Scene.of(photographs, setup, sample)
 
-    shifts: list[Shift | None] = []
+    outlines: list[Edges | None] = []
     agreed: list[Agreement] = []
     names = [shot.name for shot in scene.shots]
     doubts = _Doubts(go_on)
 
     def look(k: int, frame: Frame) -> WhiteReading | None:
         shot, seen = scene.shots[k], scene.see(k)
-        shifts.append(shift_of(frame.radiance, outline_of(seen, scene.size)))
+        outlines.append(edges_near(frame.radiance, outline_of(seen, scene.size)))
         there = white_place(white, scene.camera, shot.pose, scene.size, seen.middle, shot.name)
         rays = rays_through(scene.camera, there.x_px, there.y_px)
         return read_white(frame, there, rays, scene.lamps[k], seen.middle, factor)
 
     def check(kept: Reservoir, fit: RobustFit, scale: Scale) -> None:
-        doubts.raise_or_note(moved(shifts, names))
+        doubts.raise_or_note(moved(outlines, names))
         std = np.array([lamp.std_deg for lamp in scene.lamps])
         agreed.append(agreement(kept, fit, scale, grid, std))
         doubts.raise_or_note(agreed[0].contradiction(names))

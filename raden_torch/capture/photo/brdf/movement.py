@@ -12,7 +12,7 @@ from raden_torch.capture.photo.brdf.rays import Floats
 from raden_torch.capture.photo.brdf.sample import MARGIN_PX
 from raden_torch.capture.photo.brdf.samples import SeenSurface
 
-LIMIT_PX = 1.0
+LIMIT_PX = 1.2
 """More than this from where it is in most photographs, and four standard errors, has moved."""
 
 _REACH_PX = 9.0
@@ -33,11 +33,11 @@ class Outline:
 
 
 @dataclass(frozen=True, eq=False)
-class Shift:
-    """How far a photograph's outline lies from the expected one, and the standard error; pixels."""
+class Edges:
+    """The edges found near an outline: how far out `[n]` in pixels, along the normals `[n, 2]`."""
 
-    by_px: Floats
-    error_px: float
+    place: Floats
+    normals: Floats
 
 
 def outline_of(seen: SeenSurface, size: tuple[int, int]) -> Outline:
@@ -58,8 +58,8 @@ def outline_of(seen: SeenSurface, size: tuple[int, int]) -> Outline:
     return Outline(points + MARGIN_PX * normal, normal)
 
 
-def shift_of(radiance: NDArray[np.float32], outline: Outline) -> Shift | None:
-    """The translation that puts the steepest edges near the outline onto it; None without edges."""
+def edges_near(radiance: NDArray[np.float32], outline: Outline) -> Edges | None:
+    """The steepest edge across each point of an outline; None where too few have a clear one."""
     import cv2
 
     reach = np.arange(-_REACH_PX, _REACH_PX + _STEP_PX / 2, _STEP_PX)
@@ -79,31 +79,39 @@ def shift_of(radiance: NDArray[np.float32], outline: Outline) -> Shift | None:
     good = inside & strong & (peak > 1) & (peak < len(reach) - 2)
     if good.sum() < _FEWEST:
         return None
-    return _fitted(outline.normals[good], place[good].astype(np.float64))
+    return Edges(place[good].astype(np.float64), outline.normals[good])
 
 
-def moved(shifts: Sequence[Shift | None], names: Sequence[str]) -> str | None:
-    """One line that names the photograph in which the sample moved the most; None if none."""
-    known = [k for k, shift in enumerate(shifts) if shift is not None]
-    if len(known) < 3:
+def moved(found: Sequence[Edges | None], names: Sequence[str]) -> str | None:
+    """One line that names the photograph in which the sample moved the most; None if none.
+
+    An outline that is drawn too wide or too narrow is so in all photographs, and would look like a
+    movement away from the light, on whose side the edges are: that is taken off first.
+    """
+    known = [k for k, edges in enumerate(found) if edges is not None]
+    wide = np.median(np.concatenate([e.place for e in found if e is not None] or [np.zeros(1)]))
+    shifts = {k: _translation(e, float(wide)) for k in known if (e := found[k]) is not None}
+    fitted = {k: shift for k, shift in shifts.items() if shift is not None}
+    if len(fitted) < 3:
         return None
-    found = [shift for shift in shifts if shift is not None]
-    by = np.array([shift.by_px for shift in found])
+    numbers = list(fitted)
+    by = np.array([fitted[k][0] for k in numbers])
     off = np.linalg.norm(by - np.median(by, axis=0), axis=1)
-    limit = np.array([max(LIMIT_PX, 4 * shift.error_px) for shift in found])
+    limit = np.array([max(LIMIT_PX, 4 * fitted[k][1]) for k in numbers])
     if not (off > limit).any():
         return None
     worst = int((off / limit).argmax())
     others = int((off > limit).sum()) - 1
     more = f" (and in {others} other photographs)" if others else ""
     return (
-        f"{names[known[worst]]}: the sample moved: its outline lies {off[worst]:.1f} pixels from "
+        f"{names[numbers[worst]]}: the sample moved: its outline lies {off[worst]:.1f} pixels from "
         f"where it is in most photographs{more}; take it again, or leave it and its lamp out"
     )
 
 
-def _fitted(normals: Floats, place: Floats) -> Shift | None:
-    """The translation d with normal·d = place, robustly (bisquare)."""
+def _translation(edges: Edges, wide: float) -> tuple[Floats, float] | None:
+    """`[2]` d with normal·d + wide = place, robustly (bisquare), and its standard error; pixels."""
+    normals, place = edges.normals, edges.place - wide
     weight = np.ones(len(place))
     for _ in range(_ROUNDS):
         square = (normals * weight[:, None]).T @ normals
@@ -116,4 +124,4 @@ def _fitted(normals: Floats, place: Floats) -> Shift | None:
     if scale > _SCATTER_PX or (weight > 0).sum() < _FEWEST:
         return None
     error = scale * float(np.sqrt(np.trace(np.linalg.inv(square))))
-    return Shift(by, error)
+    return by, error
