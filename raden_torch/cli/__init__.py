@@ -7,6 +7,7 @@ import warnings
 
 from raden_torch.cli import (  # noqa: F401 - importing them adds their subcommands
     capture,
+    capture_brdf,
     model,
     picture,
     scan,

@@ -1,0 +1,88 @@
+"""Where a cell's standard deviation comes from, term by term."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from raden_torch.capture.photo.brdf.cell_fit import NodeValues
+from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
+from raden_torch.capture.photo.brdf.white import Scale
+
+_OF_LIGHTNESS = 1 / np.sqrt(3.0)
+"""Share of a colour difference that is one of lightness, where nothing is known of its kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoBudget:
+    """Standard deviations (k = 1) of the reflectance factors, term by term, `[M, 3]` each.
+
+    `noise` and `place` are a cell's own; `white` and `geometry` are shared by the cells that the
+    same photographs saw, `colour` by cells of like colour, `scale` by all: they do not average out
+    over neighbours.
+
+    Attributes:
+        noise: of the node's value, by the scatter of the samples around the fit (photon noise, the
+            sample's texture, what the fit cannot follow).
+        place: by the slopes within the cell that no sample tells of.
+        white: of the white in the photographs that the cell was seen in, or of their lamps'
+            intensities.
+        geometry: by the lamps' directions: of the angles, times the slopes, and of cos θi.
+        colour: of the map from camera RGB to XYZ, by its left-out patches; 0 without one.
+        scale: the white reference's certificate; not in `total`.
+    """
+
+    noise: Floats
+    place: Floats
+    white: Floats
+    geometry: Floats
+    colour: Floats
+    scale: Floats
+
+    TERMS = ("noise", "place", "white", "geometry", "colour", "scale")
+
+    @property
+    def total(self) -> Floats:
+        """All terms but `scale`, in quadrature: what the measurement carries as its `std`.
+
+        The scale is common to all cells, so it would only hide how well they compare.
+        """
+        terms = (self.noise, self.place, self.white, self.geometry, self.colour)
+        return np.sqrt(sum((term**2 for term in terms), np.zeros_like(self.noise)))
+
+
+def relative_geometry(nodes: NodeValues, grid: CellGrid, weight: Floats, std_deg: Floats) -> Floats:
+    """`[cells, 3]` in the unit of the values, by lamps whose directions are `std_deg` `[K]` off.
+
+    A lamp that leans by δ changes incidence and receiving by up to δ each, in opposite directions
+    along the plane of incidence, the tilt by up to δ, and cos θi by tan θi δ. The errors of
+    different lamps are independent: a cell seen under several has the less.
+
+    Args:
+        weight: `[K, cells]` share of each shot in each cell.
+    """
+    angles = np.radians(grid.nodes_deg())
+    cosine = np.cos(angles[:, 0]) * np.cos(angles[:, 2])
+    tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 0.05)
+    slope = np.nan_to_num(nodes.slope)
+    # a lamp's direction turned in the plane of L and V: a + r is the angle between them
+    along = slope[..., 0] - np.radians(1.0) * tangent[:, None] * np.nan_to_num(nodes.value)
+    across = slope[..., 2]
+    per_degree = np.hypot(along, across)
+    together = np.sqrt(((weight * std_deg[:, None]) ** 2).sum(axis=0))
+    return np.asarray(per_degree * together[:, None])
+
+
+def relative_white(weight: Floats, scale: Scale) -> Floats:
+    """`[cells, 3]` relative, by the white of the shots that each cell was seen in."""
+    square = np.zeros((weight.shape[1], 3))
+    for share, std in zip(weight, scale.std, strict=True):
+        square += (share[:, None] * std) ** 2
+    return np.sqrt(square)
+
+
+def relative_colour(luminance: Floats, left_out_delta_e: float) -> Floats:
+    """`[cells]` relative: ΔE2000 as lightness, L* = 116 (Y/100)^⅓ − 16, dY/Y = 3 dL*/(L* + 16)."""
+    lightness = 116 * np.cbrt(np.maximum(luminance, 1e-3) / 100)
+    return np.asarray(3 * left_out_delta_e * _OF_LIGHTNESS / lightness)
