@@ -147,7 +147,8 @@ class Studio:
         """Directions `[M, 3]` to the lamp and the camera from the specimen's points, each in a
         frame with its normal as z."""
         hit, normal, _ = self._passes[0].hits
-        position, n = (v[self._keep[0]][self._specimen] for v in (hit, normal))
+        on = np.flatnonzero(self._keep[0])[self._specimen]
+        position, n = hit[on], normal[on]
         helper = np.where(np.abs(n[:, :1]) < 0.7, [[1.0, 0, 0]], [[0.0, 1, 0]])
         x = np.cross(helper, n)
         x /= np.linalg.norm(x, axis=1, keepdims=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,17 @@ from raden_torch.capture.photo.simulation.angles import Floats
 from raden_torch.capture.photo.simulation.camera import View
 from raden_torch.capture.photo.simulation.materials import Material, material_of, truth_of
 from raden_torch.capture.photo.simulation.photo_file import write_photograph
+from raden_torch.capture.photo.simulation.plan import (
+    FACING,
+    PhotoPlan,
+    Shot,
+    camera_of,
+    lamp_at,
+)
+from raden_torch.capture.photo.simulation.plane_set import plane_plan
 from raden_torch.capture.photo.simulation.renderer import SPECIMEN, Studio
 from raden_torch.capture.photo.simulation.scene import printed, sheet
-from raden_torch.capture.photo.simulation.sets import PhotoPlan, lamp_at, plan_of
+from raden_torch.capture.photo.simulation.sphere_set import sphere_plan
 from raden_torch.capture.photo.simulation.truth import commands, write_truth
 from raden_torch.capture.photo.simulation.variants import SCALAR, mitsuba
 from raden_torch.errors import InputError
@@ -36,6 +45,7 @@ class Options:
         material: a name or a measurement file (`materials.material_of`).
         shape: "sphere" or "plane".
         lamps: how many.
+        views: places of the camera, for a plane.
         near: lamps at 0.55 to 0.7 m instead of 20 m.
         width: of the photographs in pixels; the height is two thirds of it.
         bits: of the camera's converter; 8 stores 8-bit files.
@@ -51,6 +61,7 @@ class Options:
     material: str = "yakogai"
     shape: str = "sphere"
     lamps: int = 29
+    views: int = 6
     near: bool = False
     width: int = 1200
     bits: int = 14
@@ -62,8 +73,17 @@ class Options:
     def __post_init__(self) -> None:
         if self.shape not in ("sphere", "plane"):
             raise InputError(f"shape {self.shape!r}; sphere or plane was wanted")
-        ranges = {"lamps": (3, 200), "width": (300, 6000), "bits": (8, 16), "stack": (1, 5),
-                  "points": (1, 8), "seed": (0, 2**31)}  # fmt: skip
+        ranges = {
+            "lamps": (3, 99),
+            "views": (1, 9),
+            "width": (300, 6000),
+            "bits": (8, 16),
+            "stack": (1, 5),
+            "points": (1, 8),
+            "seed": (0, 2**31),
+        }
+        if self.shape == "plane" and self.stack > 1:
+            raise InputError("exposure stacks are made of a sphere; leave stack at 1 for a plane")
         for name, (low, high) in ranges.items():
             value = getattr(self, name)
             if not low <= value <= high:
@@ -89,8 +109,7 @@ def simulate_photographs(
         raise InputError(f"{folder}: is there and not empty; a new folder was wanted")
     mi = mitsuba(options.variant)
     material = material_of(options.material)
-    plan = plan_of(mi, options.shape, lamps=options.lamps, near=options.near,
-                   width=options.width, bits=options.bits, seed=options.seed)  # fmt: skip
+    plan = _plan(mi, options)
     folder.mkdir(parents=True, exist_ok=True)
     taken = _Shoot(mi, folder, plan, material, options, done)
     taken.boards()
@@ -98,6 +117,14 @@ def simulate_photographs(
     truth_of(mi, material).save(folder / "truth.csv")
     write_truth(folder, plan, material, taken.names, taken.seconds, options.stack, options.variant)
     return commands(plan, taken.names, options.stack)
+
+
+def _plan(mi: Any, options: Options) -> PhotoPlan:
+    camera = camera_of(options.width, options.bits)
+    how: dict[str, Any] = {"lamps": options.lamps, "near": options.near, "seed": options.seed}
+    if options.shape == "sphere":
+        return sphere_plan(mi, camera, **how)
+    return plane_plan(mi, camera, views=options.views, **how)
 
 
 class _Shoot:
@@ -115,16 +142,16 @@ class _Shoot:
         self._mi, self._folder, self._plan, self._material = mi, folder, plan, material
         self._options, self._done = options, done
         self._rng = np.random.default_rng([options.seed, 2])
-        self._count, self._all = 0, len(plan.boards) + 2 * len(plan.lamps) + 1
+        self._count, self._all = 0, len(plan.boards) + len(plan.lamps) + len(plan.shots) + 1
         self.names: dict[str, list[str]] = {"board": [], "chart": [], "lamp": [], "ball": []}
         self.seconds: dict[str, float] = {}
 
     def boards(self) -> None:
         """The board alone, in its poses before the camera at 0."""
-        plan, facing = self._plan, View(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
+        plan = self._plan
         for k, place in enumerate(plan.boards):
             things = {"board": sheet(self._mi, place, printed(self._mi, plan.board.picture()))}
-            studio = Studio(self._mi, things, {}, None, plan.camera, facing, points=3)
+            studio = Studio(self._mi, things, {}, None, plan.camera, FACING, points=3)
             middle = place.at(place.width_mm / 2, place.height_mm / 2)
             reach = float(np.linalg.norm(_BOARD_LAMP_MM - middle))
             raw = studio.raw(lamp_at(_BOARD_LAMP_MM, reach, 1.0))
@@ -133,24 +160,29 @@ class _Shoot:
     def lamps_and_chart(self) -> None:
         """The specimen under every lamp; the chart; masks and normals."""
         plan = self._plan
-        raws: list[NDArray[Any]] = []
-        studio: Studio | None = None
-        peak = 0.0
-        for k, (view, lamp) in enumerate(zip(plan.views, plan.lamps, strict=True)):
-            if studio is None or view is not plan.views[k - 1]:
-                studio = self._studio(view)
-                specimen = studio.mask(SPECIMEN) > 0.5
-            if k == 0:
-                self._write_masks(studio)
-                self._chart(studio)
-            raws.append(studio.raw(lamp).astype(np.float32))
-            # so short that the lamp's image in the chrome ball is not clipped: its middle counts
-            self._write("ball", f"ball_{k + 1:02d}", raws[-1], [self._time(raws[-1])])
-            peak = max(peak, float(raws[-1][specimen].max()))
-        longest = [_PEAK / (peak * plan.camera.sensitivity) * 4.0**s
-                   for s in range(self._options.stack)]  # fmt: skip
-        for k, raw in enumerate(raws):
-            self._write("lamp", f"lamp_{k + 1:02d}", raw, longest)
+        peak, studio, view = 0.0, None, -1
+        with TemporaryFile() as file:  # a hundred photographs do not fit into memory
+            shape = len(plan.shots), *plan.camera.size, 3
+            raws = np.memmap(file, np.float32, shape=shape)
+            for k, shot in enumerate(plan.shots):
+                if studio is None or shot.view != view:
+                    studio, view = self._studio(plan.views[shot.view]), shot.view
+                    specimen = studio.mask(SPECIMEN) > 0.5
+                if k == 0:
+                    self._write_masks(studio)
+                    self._chart(studio)
+                raws[k] = studio.raw(plan.lamps[shot.lamp])
+                peak = max(peak, float(raws[k][specimen].max()))
+                if shot.view == 0:
+                    self._write_ball(shot, raws[k])
+            brightest = _PEAK / (peak * plan.camera.sensitivity)
+            seconds = [brightest * 4.0**s for s in range(self._options.stack)]
+            for shot, raw in zip(plan.shots, raws, strict=True):
+                self._write("lamp", shot.name, raw, seconds)
+
+    def _write_ball(self, shot: Shot, raw: NDArray[Any]) -> None:
+        """So short that the lamp's image in the chrome ball is not clipped: its middle counts."""
+        self._write("ball", f"ball_{shot.lamp + 1:02d}", raw, [self._time(raw)])
 
     def _studio(self, view: View) -> Studio:
         plan, points = self._plan, self._options.points

@@ -13,14 +13,15 @@ from raden_torch.capture.photo.simulation.angles import Floats
 from raden_torch.capture.photo.simulation.camera import View
 from raden_torch.capture.photo.simulation.colours import white_xyz
 from raden_torch.capture.photo.simulation.materials import Material
-from raden_torch.capture.photo.simulation.scene import Lamp, Sheet
-from raden_torch.capture.photo.simulation.sets import (
+from raden_torch.capture.photo.simulation.plan import (
     CHROME_BALL,
+    FACING,
     GREY_BALL,
-    SECOND_BALL,
     WHITE,
     PhotoPlan,
+    Shot,
 )
+from raden_torch.capture.photo.simulation.scene import Sheet
 from raden_torch.files import written_beside
 
 _OPENCV = np.diag([1.0, -1.0, -1.0])
@@ -41,7 +42,7 @@ def write_truth(
     lights file has them; the board's poses in OpenCV's frames, metres.
     """
     camera = plan.camera
-    first = [names["lamp"][k * stack] for k in range(len(plan.lamps))]
+    first = dict(zip(names["lamp"][::stack], plan.shots, strict=True))
     content = {
         "simulated": True,
         "renderer": f"Mitsuba 3, {variant}",
@@ -60,18 +61,15 @@ def write_truth(
         },
         "exposure_s": dict(seconds),
         "boards": {
-            name: _pose(place, _facing()) for name, place in
+            name: _pose(place, FACING) for name, place in
             zip(names["board"], plan.boards, strict=True)
         },
-        "lamps": [
-            _lamp(name, lamp, view, plan.specimen["centre_mm"])
-            for name, lamp, view in zip(first, plan.lamps, plan.views, strict=True)
-        ],
+        "lamps": [_lamp(name, plan, shot) for name, shot in first.items()],
         "board_in_photograph": {
-            name: _pose(plan.board_place, view) for name, view in
-            zip(first, plan.views, strict=True)
+            name: _pose(plan.board_place, plan.views[shot.view]) for name, shot in first.items()
         },
         "specimen": {"shape": plan.shape, **plan.specimen},
+        "white": plan.white,
         "white_factor": plan.white_factor,
         "grey_ball_reflectance": plan.grey_ball,
         "chrome_balls": {
@@ -85,38 +83,53 @@ def write_truth(
 
 def commands(plan: PhotoPlan, names: Mapping[str, Sequence[str]], stack: int) -> list[str]:
     """The commands that make a measurement of the photographs, to be given in their folder."""
-    board, chrome = plan.board, [n for n in plan.balls if n in (CHROME_BALL, SECOND_BALL)]
-    lamp = "lamp_??.png" if stack == 1 else "lamp_??_1.png"
-    every = "lamp_??.png" if stack == 1 else "lamp_??_?.png"
-    radius = plan.balls[CHROME_BALL].radius_mm
-    masks = " ".join(f"--mask mask_{name}.png" for name in chrome)
-    return [
-        f"raden capture calibrate board_*.png --squares {board.columns}x{board.rows} "
-        f"--square {board.square_mm / 1000:g} --marker {board.marker_mm / 1000:g} -o camera.json",
+    square, marker = plan.board.square_mm / 1000, plan.board.marker_mm / 1000
+    board = f"--squares {plan.board.columns}x{plan.board.rows} --square {square:g} "
+    board += f"--marker {marker:g}"
+    masks = " ".join(f"--mask mask_{n}.png" for n in plan.balls)
+    lights = f"raden capture lights ball_??.png {masks} --camera camera.json "
+    lights += f"--ball-radius {plan.balls[CHROME_BALL].radius_mm:g}"
+    brdf = f"--colour colour.json --white-factor {plan.white_factor:g} --simulated -o brdf.csv"
+    first = [
+        f"raden capture calibrate board_*.png {board} -o camera.json",
         "raden capture colour chart_*.png -o colour.json",
-        f"raden capture lights ball_??.png {masks} --camera camera.json --ball-radius {radius:g} "
-        f"--reference '{lamp}' --reference-mask mask_{GREY_BALL}.png -o lights.json",
-        f"raden capture brdf {every} "
-        + (f"--stack {stack} " if stack > 1 else "")
-        + f"--shape sphere --mask mask_specimen.png --radius {plan.specimen['radius_mm']:g} "
-        f"--camera camera.json --lights lights.json --colour colour.json "
-        f"--white-mask mask_{WHITE}.png --white-factor {plan.white_factor:g} -o brdf.csv",
+    ]
+    if plan.shape == "plane":
+        numbers = " ".join(f"--lamp {shot.lamp + 1}" for shot in plan.shots)
+        region, white = (
+            " ".join(f"{x:g},{y:g}" for x, y in place["region_m"])
+            for place in (plan.specimen, plan.white)
+        )
+        return [
+            *first,
+            f"raden capture calibrate view_*.png {board} --camera camera.json -o poses.json",
+            f"{lights} -o lights.json",
+            f'raden capture brdf view_*.png --shape plane --region "{region}" '
+            f"--camera poses.json --lights lights.json --lamps-stand board --lights-seen-in "
+            f'{names["lamp"][0]} {numbers} --white-region "{white}" {brdf}',
+        ]
+    reference, files = ("lamp_??_1.png", "lamp_??_?.png") if stack > 1 else ("lamp_??.png",) * 2
+    stacked = f"--stack {stack} " if stack > 1 else ""
+    return [
+        *first,
+        f"raden capture calibrate chart_2.png {board} --camera camera.json -o pose.json",
+        f"{lights} --reference '{reference}' --reference-mask mask_{GREY_BALL}.png -o lights.json",
+        f"raden capture brdf {files} {stacked}--shape sphere --mask mask_specimen.png "
+        f"--radius {plan.specimen['radius_mm']:g} --camera pose.json --lights lights.json "
+        f"--white-mask mask_{WHITE}.png {brdf}",
     ]
 
 
-def _facing() -> View:
-    return View(_OPENCV, np.zeros(3))
-
-
-def _lamp(name: str, lamp: Lamp, view: View, centre: Sequence[float]) -> dict[str, Any]:
-    """In the camera's frame with y up."""
-    at, sample = (_OPENCV @ view.of_points(np.array([p], float))[0]
-                  for p in (lamp.position_mm, centre))  # fmt: skip
-    distance = float(np.linalg.norm(at - sample))
+def _lamp(name: str, plan: PhotoPlan, shot: Shot) -> dict[str, Any]:
+    """In the photograph's camera, y up."""
+    lamp, view = plan.lamps[shot.lamp], plan.views[shot.view]
+    at, middle = (_OPENCV @ view.of_points(np.array([p], float))[0]
+                  for p in (lamp.position_mm, plan.middle_mm))  # fmt: skip
+    distance = float(np.linalg.norm(at - middle))
     return {
         "photograph": name,
         "position_mm": at.tolist(),
-        "direction_from_specimen": ((at - sample) / distance).tolist(),
+        "direction_from_specimen": ((at - middle) / distance).tolist(),
         "irradiance": float(lamp.intensity[1] / distance**2),
     }
 
