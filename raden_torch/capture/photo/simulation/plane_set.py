@@ -31,11 +31,11 @@ from raden_torch.capture.photo.simulation.scene import (
     sheet,
 )
 
-_MIDDLE = np.array([82.0, -45.0, 0.0])
+_MIDDLE = np.array([88.0, -56.0, 0.0])
 _CAMERA_MM, _LAMP_MM = 950.0, 620.0
-_SPECIMEN_MM, _WHITE_MM = (45.0, 27.0, 36.0, 36.0), (90.0, 36.0, 18.0, 18.0)
+_SPECIMEN_MM, _WHITE_MM = (48.0, 32.0, 32.0, 32.0), (112.0, 48.0, 16.0, 16.0)
 """x, y, width and height on the board."""
-_ABOVE_MM = 0.02
+_ABOVE_MM, _BALL_MM = 0.02, 20.0
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
@@ -49,16 +49,16 @@ def plane_plan(
     The first view is from nearly above and shows everything, the others lean to all sides.
     """
     rng = np.random.default_rng([seed, 1])
-    board = PrintedBoard(square_mm=18.0, marker_mm=14.0)
+    board = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.5)
     lying = Sheet(np.zeros(3), RIGHT, -UP, *board.size_mm)
-    chart = Sheet(np.array([138.0, -4.0, 0.0]), RIGHT, -UP, 77.0, 55.0)
+    chart = Sheet(np.array([154.0, -28.0, 0.0]), RIGHT, -UP, 77.0, 55.0)
     table = Sheet(np.array([-500.0, 500.0, -0.5]), RIGHT, -UP, 1200.0, 1000.0)
     places = [
         lamp_at(_MIDDLE + reach * way, reach, rng.uniform(0.8, 1.2))
-        for way in _ways(lamps, 8.0, 65.0, rng)
+        for way in _ways(lamps, 8.0, 58.0, rng)
         for reach in [rng.uniform(0.9, 1.1) * _LAMP_MM if near else FAR_MM]
     ]
-    chrome = {CHROME_BALL: (-34.0, -16.0, 14.0), SECOND_BALL: (-34.0, -78.0, 14.0)}
+    chrome = {CHROME_BALL: (-34.0, -22.0, 20.0), SECOND_BALL: (-34.0, -90.0, 20.0)}
     things = {
         "table": sheet(mi, table, matt(0.05)),
         "board": sheet(mi, lying, printed(mi, board.picture())),
@@ -70,7 +70,7 @@ def plane_plan(
     return PhotoPlan(
         shape="plane",
         things=things,
-        balls={name: Ball(at, 14.0) for name, at in chrome.items()},
+        balls={name: Ball(at, _BALL_MM) for name, at in chrome.items()},
         camera=camera,
         views=[_looking(way) for way in _ways(views, 12.0, 55.0, rng)],
         lamps=places,
@@ -82,7 +82,7 @@ def plane_plan(
         board=board,
         board_place=lying,
         specimen={"region_m": _corners_m(_SPECIMEN_MM)},
-        middle_mm=(63.0, -45.0, 0.0),
+        middle_mm=(64.0, -48.0, 0.0),
         white={"region_m": _corners_m(_WHITE_MM)},
         masks=(SPECIMEN, WHITE, *chrome),
     )

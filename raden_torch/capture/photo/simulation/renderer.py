@@ -278,7 +278,7 @@ def _shape_numbers(mi: Any, scene: Any) -> dict[int, str]:
     import drjit as dr
 
     return {
-        int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]): shape.id()
+        int(np.asarray(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))).item()): shape.id()
         for shape in scene.shapes()
     }
 
