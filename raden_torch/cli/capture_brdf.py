@@ -126,19 +126,24 @@ def brdf(
     simulated: Annotated[
         bool, typer.Option("--simulated", help="label it: the photographs were computed")
     ] = False,
+    go_on: Annotated[
+        bool, typer.Option("--go-on", help="warn where photographs contradict each other or moved")
+    ] = False,
     picture: Picture = None,
 ) -> None:
     """Measure a BRDF: every lit pixel of a sphere, plane or cylinder is a reading."""
     from raden_torch.capture.photo.brdf.cells import CellGrid
     from raden_torch.capture.photo.brdf.chart_white import chart_white
-    from raden_torch.capture.photo.brdf.files import check_outputs, write_captured
+    from raden_torch.capture.photo.brdf.files import check_outputs, write_brdf
     from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
     from raden_torch.capture.photo.brdf.sample import SampleSpec
     from raden_torch.capture.photo.capture_brdf import Setup, capture_brdf
     from raden_torch.capture.photo.development import Development
     from raden_torch.measurement import Metadata
+    from raden_torch.plots.coverage import draw_captured
+    from raden_torch.plots.sheet import save_plot
 
-    shown = check_outputs(output, picture)
+    report, shown = check_outputs(output, picture)
     if (lamps_stand is Stand.board) != (lights_seen_in is not None):
         raise InputError("--lamps-stand board and --lights-seen-in go together; give both")
     how = Development(
@@ -172,9 +177,14 @@ def brdf(
             factor,
             grid=CellGrid(step),
             metadata=Metadata(name or output.stem, simulated=simulated),
+            go_on=go_on,
             progress=share_done,
         )
-    print(write_captured(found, output, shown))
+    found.measurement.save(output)
+    write_brdf(found, report)
+    save_plot(draw_captured(found), shown)
+    print(found)
+    print(f"wrote {output}\nwrote {report}\nwrote {shown} (look at it)")
 
 
 def _corners(option: str, text: str | None, exactly: int | None = None) -> Floats | None:

@@ -61,9 +61,12 @@ def fit(
     print(f"{loaded!r}\n{result.report}\nwrote {output}")
 
 
-@app.command(epilog="Example: raden info shell.safetensors --against offgrid.csv")
+@app.command(epilog="Example: raden info scan.csv photographs.csv")
 def info(
     file: Annotated[Path | None, typer.Argument(help="a measurement or a model")] = None,
+    other: Annotated[
+        Path | None, typer.Argument(help="a measurement to compare the first one with")
+    ] = None,
     against: Annotated[
         Path | None, typer.Option(help="readings to score a model on, e.g. off its grid")
     ] = None,
@@ -71,7 +74,7 @@ def info(
         bool, typer.Option("--system", help="instead: which form of the model runs here")
     ] = False,
 ) -> None:
-    """Say what a file holds; score a model on readings that it was not fitted to."""
+    """Say what a file holds; compare two measurements; score a model on other readings."""
     if system == (file is not None):
         raise InputError("info: give a FILE, or --system")
     if file is None:
@@ -88,7 +91,9 @@ def info(
         if isinstance(loaded, BrdfMeasurement):
             if against is not None:
                 raise InputError(f"{file}: is a measurement; --against scores a model")
-            text = describe_measurement(loaded)
+            text = describe_measurement(loaded) if other is None else _compared(loaded, other)
+        elif other is not None:
+            raise InputError(f"{file}: is a model; two measurements are compared")
         else:
             text = describe_model(loaded)
             if against is not None:
@@ -97,6 +102,35 @@ def info(
 
                 text += f"\nagainst {against.name}: {score(loaded, load_measurement(against))}"
     print(text)
+
+
+def _compared(first: BrdfMeasurement, path: Path) -> str:
+    from raden_torch.capture.importers import load_measurement
+    from raden_torch.measurement.compare import compare
+
+    return str(compare(first, load_measurement(path)))
+
+
+@app.command(epilog="Example: raden merge scan.csv photographs.csv -o shell.csv")
+def merge(
+    files: Annotated[list[Path], typer.Argument(help="measurements of one specimen")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="the measurement to write, .csv")],
+    robust: Annotated[
+        bool,
+        typer.Option(
+            "--robust", help="where readings contradict, enlarge their uncertainty; else refuse"
+        ),
+    ] = False,
+) -> None:
+    """Make one measurement of several, each reading weighed by its uncertainty."""
+    from raden_torch.capture.importers import load_measurement
+    from raden_torch.measurement.merge import merge as merge_measurements
+
+    check_writable(output)
+    with working("merging"):
+        merged = merge_measurements([load_measurement(path) for path in files], robust=robust)
+        merged.measurement.save(output)
+    print(f"{merged}\nwrote {output}")
 
 
 @app.command(epilog="Example: raden plot shell.csv -o graphs.png --figure 5 --figure 9")

@@ -7,16 +7,13 @@ neutral sample has X : Y : Z of the white and R = G = B.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.measurement.readings import RGB, WHITE_LEVEL, XYZ, BrdfMeasurement, Floats
-
-if TYPE_CHECKING:
-    pass
 
 _OBSERVERS = {
     "CIE 1931 2 deg": "CIE 1931 2 Degree Standard Observer",
@@ -34,12 +31,7 @@ def as_xyz(measurement: BrdfMeasurement) -> BrdfMeasurement:
     """
     if measurement.channels == XYZ:
         return measurement
-    if measurement.channels == RGB:
-        matrix = np.linalg.inv(
-            xyz_to_rgb_matrix(measurement.metadata.white, _observer(measurement))
-        )
-        return _transformed(measurement, matrix, XYZ)
-    return _transformed(measurement, bands_to_xyz_matrix(measurement), XYZ)
+    return _transformed(measurement, matrix_to(measurement, XYZ), XYZ)
 
 
 def as_rgb(measurement: BrdfMeasurement) -> BrdfMeasurement:
@@ -49,9 +41,24 @@ def as_rgb(measurement: BrdfMeasurement) -> BrdfMeasurement:
     """
     if measurement.channels == RGB:
         return measurement
-    xyz = as_xyz(measurement)
-    matrix = xyz_to_rgb_matrix(xyz.metadata.white, _observer(xyz))
-    return _transformed(xyz, matrix, RGB)
+    return _transformed(measurement, matrix_to(measurement, RGB), RGB)
+
+
+def matrix_to(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> Floats:
+    """`[3, C]` from the measurement's channels to XYZ or RGB.
+
+    Raises:
+        InputError: as `as_xyz`.
+    """
+    if measurement.channels == channels:
+        return np.eye(len(channels))
+    observer = _observer(measurement)
+    if channels == XYZ and measurement.channels == RGB:
+        return np.asarray(np.linalg.inv(xyz_to_rgb_matrix(measurement.metadata.white, observer)))
+    to_xyz = np.eye(3) if measurement.channels == XYZ else bands_to_xyz_matrix(measurement)
+    if channels == XYZ:
+        return to_xyz
+    return xyz_to_rgb_matrix(measurement.metadata.white, observer) @ to_xyz
 
 
 def xyz_to_rgb_matrix(white: str = "D65", observer: str = "CIE 1931 2 deg") -> Floats:

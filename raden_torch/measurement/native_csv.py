@@ -8,7 +8,8 @@
 
 Rows in any order, gaps allowed. Optional columns: `azimuth_deg`, `std_<channel>`, `count`, `valid`
 (0 or 1). An empty or `nan` value is a reading without a value. `readings`, where it is given, must
-be the number of rows: that is how a file cut at the end of a line is noticed.
+be the number of rows: that is how a file cut at the end of a line is noticed. The entries
+of `CommonErrors` (`scale_std` and others) may be missing.
 """
 
 from __future__ import annotations
@@ -23,12 +24,16 @@ import numpy as np
 
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
+from raden_torch.measurement import common_errors
 from raden_torch.measurement.readings import BrdfMeasurement, Floats, Metadata
 
 MAX_BYTES = 2_000_000_000
 _ANGLES = ("incidence_deg", "receiving_deg", "tilt_deg")
 _QUANTITY = "reflectance factor, perfect reflecting diffuser = 100 in every geometry"
-_OWN_KEYS = ("material", "quantity", "instrument", "white", "observer", "simulated", "readings")
+_OWN_KEYS = (
+    *("material", "quantity", "instrument", "white", "observer", "simulated", "readings"),
+    *common_errors.KEYS,
+)
 _QUARTER_TURN_RAD = 1.6
 
 
@@ -98,6 +103,7 @@ def write(measurement: BrdfMeasurement, path: str | os.PathLike[str]) -> None:
         ("white", meta.white),
         ("observer", meta.observer),
         ("simulated", "true" if meta.simulated else "false"),
+        *meta.common.as_entries(),
         *meta.other,
         ("readings", str(len(m))),
     ]
@@ -304,6 +310,7 @@ def _metadata(path: Path, header: _Header) -> Metadata:
         observer=entries.get("observer")
         or ("CIE 1964 10 deg" if ten_degrees else "CIE 1931 2 deg"),
         simulated=simulated == "true",
+        common=common_errors.CommonErrors.from_entries(entries),
         other=tuple((k, v) for k, v in entries.items() if k not in _OWN_KEYS),
         notes=tuple(header.notes),
     )

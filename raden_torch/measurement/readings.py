@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.errors import InputError
+from raden_torch.measurement.common_errors import CommonErrors
+from raden_torch.measurement.consistency import pair_contradicts
 
 Floats = NDArray[np.float64]
 
@@ -37,6 +39,7 @@ class Metadata:
         white: the illuminant of the XYZ values, by its CIE name ("D65").
         observer: the colour-matching functions of the XYZ values.
         simulated: True where the values were computed, not measured.
+        common: the errors that all readings share; the scale's is not in `std`.
         other: further header entries, kept as they were read.
         notes: free text lines, kept as they were read.
     """
@@ -46,6 +49,7 @@ class Metadata:
     white: str = "D65"
     observer: str = "CIE 1931 2 deg"
     simulated: bool = False
+    common: CommonErrors = field(default_factory=CommonErrors)
     other: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -91,7 +95,8 @@ class BrdfMeasurement:
         channels: ("X", "Y", "Z"), ("R", "G", "B") (linear, sRGB primaries) or one name a spectral
             band, as "550nm".
         azimuth_deg: `[M]` or None.
-        std: `[M, C]` standard deviations or None.
+        std: `[M, C]` standard deviations (k = 1) or None: all that is known but the error of the
+            scale, which is common to all readings (`metadata.common`).
         count: `[M]` how many raw readings went into a row, or None.
         valid: `[M]`; a row whose value is NaN is never valid.
 
@@ -309,7 +314,7 @@ class BrdfMeasurement:
             )
 
     def _check_duplicates(self) -> None:
-        """Refuse readings of one geometry that differ by over 5 % and 6 standard deviations."""
+        """Refuse readings of one geometry that contradict; see `consistency.pair_contradicts`."""
         columns = [self.incidence_deg, self.receiving_deg, self.tilt_deg]
         if self.azimuth_deg is not None:
             columns.append(self.azimuth_deg)
@@ -320,11 +325,8 @@ class BrdfMeasurement:
         if not same.any():
             return
         first, second = rows[order[:-1][same]], rows[order[1:][same]]
-        allowed = 0.05 * np.maximum(abs(self.values[first]), abs(self.values[second])).max(1) + 1e-9
-        if self.std is not None:
-            spread = np.hypot(self.std[first], self.std[second]).max(1)
-            allowed = np.maximum(allowed, 6 * np.nan_to_num(spread))
-        wrong = abs(self.values[first] - self.values[second]).max(1) > allowed
+        std = None if self.std is None else np.hypot(self.std[first], self.std[second])
+        wrong = pair_contradicts(self.values[first], self.values[second], std)
         if wrong.any():
             k = int(np.argmax(wrong))
             i, j = sorted((int(first[k]), int(second[k])))

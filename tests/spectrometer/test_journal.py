@@ -194,7 +194,8 @@ def test_a_changed_byte_is_told_or_harmless(journal_of_ten: Path, at: int, value
     path = journal_of_ten.with_name("changed.jsonl")
     path.write_bytes(data)
     with suppress(InputError):
-        assert 9 <= len(read_journal(path).taken) <= 10
+        # without the line end between them, the last two are one cut line
+        assert 8 <= len(read_journal(path).taken) <= 10
 
 
 def test_a_line_that_cannot_be_written_whole_is_taken_back(

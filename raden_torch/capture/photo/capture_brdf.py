@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,16 +12,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.brdf.accumulate import Accumulated, accumulate
+from raden_torch.capture.photo.brdf.agreement import Agreement, agreement
 from raden_torch.capture.photo.brdf.budget import PhotoBudget
-from raden_torch.capture.photo.brdf.cells import CellGrid
+from raden_torch.capture.photo.brdf.cell_fit import RobustFit
+from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
+from raden_torch.capture.photo.brdf.coverage import Coverage, coverage
 from raden_torch.capture.photo.brdf.lighting import Lamp, lamps_of_shots
+from raden_torch.capture.photo.brdf.movement import Edges, edges_near, moved, outline_of
 from raden_torch.capture.photo.brdf.node_colour import NodeColour, budget_of
 from raden_torch.capture.photo.brdf.rays import rays_through
 from raden_torch.capture.photo.brdf.reference_place import WhiteSpec, white_place
-from raden_torch.capture.photo.brdf.sample import SampleSpec, place
+from raden_torch.capture.photo.brdf.reservoir import Reservoir
+from raden_torch.capture.photo.brdf.sample import Placed, SampleSpec, place
 from raden_torch.capture.photo.brdf.samples import SeenSurface, see
 from raden_torch.capture.photo.brdf.series import Frame, Shot, read_shot, series
-from raden_torch.capture.photo.brdf.white import WhiteFactor, WhiteReading, read_white
+from raden_torch.capture.photo.brdf.shapes import Shape
+from raden_torch.capture.photo.brdf.white import Scale, WhiteFactor, WhiteReading, read_white
 from raden_torch.capture.photo.camera import Camera, Pose, read_camera, read_poses
 from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps, read_lamps
@@ -29,6 +36,11 @@ from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 
 Progress = Callable[[float], None]
+
+LEAST_COVERAGE = 0.05
+"""Share of the grid below which a measurement would only pretend to be one."""
+_OUTLINE_PX = 0.3
+"""How well an outline is known where it is a mask's: its normals hang on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,16 +78,33 @@ class CapturedBrdf:
         budget: the terms of its standard deviation.
         found: what the photographs hold, relative to the white.
         grid: the cells.
+        shape: "sphere", "plane" or "cylinder".
         shots: the photographs.
         lamps: of each, in the frame of its camera.
+        agreement: of the photographs with each other.
+        coverage: of the grid, and what would help.
+        notes: what a person should know.
     """
 
     measurement: BrdfMeasurement
     budget: PhotoBudget
     found: Accumulated
     grid: CellGrid
+    shape: str
     shots: list[Shot]
     lamps: list[Lamp]
+    agreement: Agreement
+    coverage: Coverage
+    notes: tuple[str, ...]
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.found.samples} samples from {len(self.shots)} photographs; "
+            f"{100 * self.found.left_out:.2f} % left out as outliers",
+            str(self.coverage),
+            *(f"note: {note}" for note in self.notes),
+        ]
+        return "\n".join(lines)
 
 
 def capture_brdf(
@@ -87,30 +116,86 @@ def capture_brdf(
     *,
     grid: CellGrid | None = None,
     metadata: Metadata | None = None,
+    go_on: bool = False,
     progress: Progress | None = None,
 ) -> CapturedBrdf:
     """Read the photographs of a series and put every lit pixel on the grid.
 
+    Args:
+        go_on: warn instead of raising where the sample seems to have moved, or photographs
+            contradict each other.
+        progress: called with the share that is done, 0…1.
+
     Raises:
-        InputError: as for what it is made of; the message names the file.
+        InputError: as for what it is made of; a sample that moved, photographs that contradict each
+            other beyond their uncertainty, or a coverage below 5 %. The message names the file.
     """
     grid = grid or CellGrid()
     scene = _Scene.of(photographs, setup, sample)
 
-    def white_in(k: int, frame: Frame) -> WhiteReading | None:
-        shot, middle = scene.shots[k], scene.see(k).middle
-        there = white_place(white, scene.camera, shot.pose, scene.size, middle, shot.name)
+    outlines: list[Edges | None] = []
+    agreed: list[Agreement] = []
+    names = [shot.name for shot in scene.shots]
+    doubts = _Doubts(go_on)
+
+    def look(k: int, frame: Frame) -> WhiteReading | None:
+        shot, seen = scene.shots[k], scene.see(k)
+        outlines.append(edges_near(frame.radiance, outline_of(seen, scene.size)))
+        there = white_place(white, scene.camera, shot.pose, scene.size, seen.middle, shot.name)
         rays = rays_through(scene.camera, there.x_px, there.y_px)
-        return read_white(frame, there, rays, scene.lamps[k], middle, factor)
+        return read_white(frame, there, rays, scene.lamps[k], seen.middle, factor)
+
+    def check(kept: Reservoir, fit: RobustFit, scale: Scale) -> None:
+        doubts.raise_or_note(moved(outlines, names))
+        std = np.array([lamp.std_deg for lamp in scene.lamps])
+        agreed.append(agreement(kept, fit, scale, grid, std))
+        doubts.raise_or_note(agreed[0].contradiction(names))
 
     found = accumulate(
-        scene.shots, scene.lamps, scene.see, scene.read, white_in, grid, progress=progress
+        scene.shots, scene.lamps, scene.see, scene.read, look, grid, progress=progress, check=check
     )
+    cover = _coverage(found, grid, scene)
+    if cover.share < LEAST_COVERAGE:
+        raise InputError(_too_little(cover, photographs))
     colour = NodeColour.of(setup.colour, found.scale)
-    std = np.array([lamp.std_deg for lamp in scene.lamps])
-    budget = budget_of(found, grid, colour, std, factor.relative_std)
-    measurement = _measurement(found, grid, colour, budget, metadata or Metadata(), sample.shape)
-    return CapturedBrdf(measurement, budget, found, grid, scene.shots, scene.lamps)
+    budget = budget_of(
+        found,
+        grid,
+        colour,
+        lamp_std_deg=np.array([lamp.std_deg for lamp in scene.lamps]),
+        normal_std_deg=scene.normal_std_deg,
+        scale_std=factor.relative_std,
+    )
+    return CapturedBrdf(
+        measurement=_measurement(
+            found, grid, colour, budget, metadata or Metadata(), sample.shape, cover
+        ),
+        budget=budget,
+        found=found,
+        grid=grid,
+        shape=sample.shape,
+        shots=scene.shots,
+        lamps=scene.lamps,
+        agreement=agreed[0],
+        coverage=cover,
+        notes=(*found.scale.notes, *doubts.notes),
+    )
+
+
+@dataclass(eq=False)
+class _Doubts:
+    """What speaks against the photographs: an error, or with `go_on` a warning and a note."""
+
+    go_on: bool
+    notes: list[str] = field(default_factory=list)
+
+    def raise_or_note(self, doubt: str | None) -> None:
+        if doubt is None:
+            return
+        if not self.go_on:
+            raise InputError(f"{doubt} (or go on all the same: --go-on)")
+        warnings.warn(doubt, stacklevel=4)
+        self.notes.append(doubt)
 
 
 @dataclass(eq=False)
@@ -123,7 +208,7 @@ class _Scene:
     sample: SampleSpec
     exponent: float
     size: tuple[int, int]
-    _last: tuple[Pose | None, SeenSurface] | None = None
+    _last: tuple[Pose | None, Placed, SeenSurface] | None = None
 
     @classmethod
     def of(cls, photographs: Sequence[Path], setup: Setup, sample: SampleSpec) -> _Scene:
@@ -168,18 +253,34 @@ class _Scene:
 
     def see(self, k: int) -> SeenSurface:
         """What the pixels of shot k see of the sample."""
+        return self._placed(k)[1]
+
+    def shape_in(self, k: int) -> Shape:
+        """The sample's shape in the frame of shot k's camera."""
+        return self._placed(k)[0].shape
+
+    @property
+    def moves(self) -> bool:
+        """The sample is found by the board's pose."""
+        return self.sample.shape == "plane" or self.sample.axis_m is not None
+
+    @property
+    def normal_std_deg(self) -> float:
+        """Of the normals, where they hang on an outline: that over the radius in the picture."""
+        if self.moves:
+            return 0.0
+        seen = self.see(0)
+        across = min(np.ptp(seen.x_px), np.ptp(seen.y_px)) / 2
+        return float(np.degrees(_OUTLINE_PX / max(across, 1.0)))
+
+    def _placed(self, k: int) -> tuple[Placed, SeenSurface]:
         shot = self.shots[k]
-        if self._last is None or (self._moves and self._last[0] is not shot.pose):
+        if self._last is None or (self.moves and self._last[0] is not shot.pose):
             placed = place(
                 self.sample, self.camera, shot.pose, self.size, self._pictures, shot.name
             )
-            self._last = shot.pose, see(placed, self.camera)
-        return self._last[1]
-
-    @property
-    def _moves(self) -> bool:
-        """The sample is found by the board's pose."""
-        return self.sample.shape == "plane" or self.sample.axis_m is not None
+            self._last = shot.pose, placed, see(placed, self.camera)
+        return self._last[1:]
 
     def _pictures(self) -> list[NDArray[Any]]:
         return [self.read(shot).radiance for shot in self.shots]
@@ -215,6 +316,7 @@ def _measurement(
     budget: PhotoBudget,
     metadata: Metadata,
     shape: str,
+    cover: Coverage,
 ) -> BrdfMeasurement:
     incidence, receiving, tilt = grid.nodes_deg().T
     values = colour.factors(found.nodes.value)
@@ -229,6 +331,39 @@ def _measurement(
         count=found.nodes.count,
         valid=np.asarray(np.isfinite(values).all(axis=1)),
         metadata=replace(
-            metadata, instrument=f"{said}; photographs of a {shape} under {len(found.shots)} lamps"
+            metadata,
+            other=(*metadata.other, *_said_of(budget, cover, values)),
+            instrument=f"{said}; photographs of a {shape} under {len(found.shots)} lamps",
         ),
+    )
+
+
+def _coverage(found: Accumulated, grid: CellGrid, scene: _Scene) -> Coverage:
+    """Of the grid, with a suggestion from where the first photograph was taken."""
+    shape, first = scene.shape_in(0), scene.lamps[0]
+    distance = None
+    if first.position is not None:
+        distance = float(np.linalg.norm(first.position - shape.middle))
+    covered = np.asarray(np.isfinite(found.nodes.value).all(axis=1))
+    pose = scene.shots[0].pose if scene.moves else None
+    return coverage(covered, grid, shape, scene.camera, pose, distance)
+
+
+def _too_little(cover: Coverage, photographs: Sequence[Path]) -> str:
+    advice = "; ".join(f"{s.text} ({s.gain} more cells)" for s in cover.next[:3])
+    return (
+        f"{photographs[0]} … {photographs[-1].name}: they cover {100 * cover.share:.1f} % of the "
+        f"grid; at least {100 * LEAST_COVERAGE:g} % were wanted. What would help most: {advice}"
+    )
+
+
+def _said_of(budget: PhotoBudget, cover: Coverage, values: Floats) -> tuple[tuple[str, str], ...]:
+    """Header entries: what the standard deviations hold and what they do not."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scale = float(np.nanmedian(budget.scale / np.abs(values)))
+    return (
+        ("std holds", "noise, place in the cell, white, geometry, colour (k = 1)"),
+        ("std of the scale", f"{100 * scale:.4g} %, common to all cells and not in std"),
+        ("coverage", f"{100 * cover.share:.1f} %"),
+        *(("next", f"{s.text}: {s.gain} more cells") for s in cover.next[:1]),
     )

@@ -16,12 +16,13 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from raden_torch.capture.spectrometer.plan import Plan, Step, Taken, plan_from_json
 from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range, Target
+from raden_torch.capture.spectrometer.stated import StatedUncertainty
 from raden_torch.capture.spectrometer.white import White
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable, written_beside
@@ -48,6 +49,7 @@ class Header:
         simulated: True where the instruments are simulated.
         sample: the specimen's name.
         started: date and time in UTC.
+        stated: what the rig states of its own uncertainty; nothing in the journals of old.
     """
 
     plan: Plan
@@ -59,6 +61,7 @@ class Header:
     simulated: bool
     sample: str
     started: str
+    stated: StatedUncertainty = field(default_factory=StatedUncertainty)
 
     def as_json(self) -> dict[str, Any]:
         return {
@@ -74,6 +77,7 @@ class Header:
             "simulated": self.simulated,
             "sample": self.sample,
             "started": self.started,
+            "stated": self.stated.as_json(),
         }
 
 
@@ -175,6 +179,14 @@ def read_journal(path: str | os.PathLike[str]) -> Contents:
     contents.torn_bytes = size - contents.whole_bytes
     _check_replay(path, contents)
     return contents
+
+
+class Journal(Protocol):
+    """What a scan needs of its journal: what is in it, and that it takes one record more."""
+
+    contents: Contents
+
+    def append(self, record: Taken | Reference | Fault | Session) -> None: ...
 
 
 class JournalFile:
@@ -324,6 +336,9 @@ def _header(record: dict[str, Any]) -> Header:
         simulated=bool(record["simulated"]),
         sample=str(record["sample"]),
         started=str(record["started"]),
+        stated=StatedUncertainty.from_json(record["stated"])
+        if "stated" in record
+        else StatedUncertainty(),
     )
     if header.plan.hash != record["plan_hash"]:
         raise InputError("the plan is not the one that its hash was made of; it was changed")

@@ -60,6 +60,8 @@ class LabReport:
         travel_deg, as_given_deg: degrees of travel, summed over the axes, in the order of
             measuring and in the order in which the cells were given.
         faults: how many of each kind were got over, or ended a session.
+        warnings: readings that contradict each other.
+        terms: the median of each term of the budget in Y, relative.
     """
 
     sample: str
@@ -92,6 +94,8 @@ class LabReport:
     travel_deg: float
     as_given_deg: float
     faults: dict[str, int]
+    warnings: tuple[str, ...]
+    terms: dict[str, float]
 
     def __str__(self) -> str:
         return "\n".join(f"{name}: {text}" for name, text in self.entries())
@@ -140,6 +144,8 @@ class LabReport:
                 f"{percent(self.median_std)} of Y (median); without the white's own "
                 f"{percent(self.white_relative_std)}",
             ),
+            ("budget", ", ".join(f"{name} {percent(of)}" for name, of in self.terms.items())),
+            ("warnings", "; ".join(self.warnings) or "none"),
             (
                 "reciprocity",
                 f"{reciprocity.pairs} pairs, broken by {percent(reciprocity.mean)} on average, "
@@ -218,7 +224,20 @@ def make_report(contents: Contents, reduced: Reduced) -> LabReport:
         travel_deg=plan.travel_deg,
         as_given_deg=plan.as_given_deg,
         faults=dict(Counter(fault.kind for fault in contents.faults)),
+        warnings=reduced.warnings,
+        terms=_median_terms(reduced),
     )
+
+
+def _median_terms(reduced: Reduced) -> dict[str, float]:
+    """Of each term of the budget that there is, in Y, relative to it."""
+    valid = reduced.measurement.valid
+    y = np.maximum(abs(reduced.measurement.values[valid, 1]), 1e-9)
+    medians = {
+        name: float(np.median(term[valid, 1] / y)) if len(y) else np.nan
+        for name, term in reduced.budget.terms().items()
+    }
+    return {name: median for name, median in medians.items() if median != 0.0}
 
 
 def check_reciprocity(measurement: BrdfMeasurement) -> Reciprocity:

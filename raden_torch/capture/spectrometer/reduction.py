@@ -16,15 +16,23 @@ otherwise as good as a von Kries adaptation.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.capture.spectrometer import contradictions
+from raden_torch.capture.spectrometer.budget import (
+    Budget,
+    common_errors,
+    geometry_terms,
+    white_move_std,
+)
 from raden_torch.capture.spectrometer.journal import Contents, Reference
 from raden_torch.capture.spectrometer.plan import FixedPlan, Taken
 from raden_torch.capture.spectrometer.ports import ColorReading, Floats, Position, Range, Target
+from raden_torch.capture.spectrometer.stated import StatedUncertainty
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.colour_conversion import bands_to_xyz_matrix
@@ -33,39 +41,6 @@ Bools = NDArray[np.bool_]
 
 _WEAK_BAND = 1e-3  # of the lamp's strongest band; below, a ratio is more noise than signal
 _UNIFORM_WIDTH = np.sqrt(12.0)  # of an even distribution, over its standard deviation
-
-
-@dataclass(frozen=True)
-class Budget:
-    """Standard deviations (k = 1) of the reflectance factors, term by term, `[M, 3]` each.
-
-    `repeatability` is a cell's own; the others are shared by cells read near each other in time
-    (`white`, `dark`, `drift`), or by all (`scale`), and do not average out over neighbours.
-
-    Attributes:
-        repeatability: of the mean of a cell's readings: their own spread over √n where there are
-            two or more, else the spread of single white and dark readings, scaled to the value.
-        white: noise of the white readings that the cell was divided by.
-        dark: noise of the dark readings that were subtracted.
-        drift: what linear interpolation may leave: an even distribution as wide as the change
-            between the two white series around the reading.
-        scale: the white reference's certificate; in `total` only where it is asked for.
-    """
-
-    repeatability: Floats
-    white: Floats
-    dark: Floats
-    drift: Floats
-    scale: Floats
-
-    @property
-    def total(self) -> Floats:
-        """All terms but `scale`, in quadrature: what a measurement carries as its `std`.
-
-        The scale is common to all cells, so it would only hide how well they compare.
-        """
-        terms = (self.repeatability, self.white, self.dark, self.drift)
-        return np.sqrt(sum((term**2 for term in terms), np.zeros_like(self.white)))
 
 
 @dataclass(frozen=True)
@@ -84,6 +59,7 @@ class Reduced:
         white_single_std: `[3]` relative standard deviation of single white readings.
         repeat_std: `[3]` median over the cells of the relative standard deviation of single
             readings of a cell; NaN without repeats.
+        warnings: readings that contradict each other; see `contradictions`.
     """
 
     measurement: BrdfMeasurement
@@ -96,13 +72,15 @@ class Reduced:
     white_time_s: Floats
     white_single_std: Floats
     repeat_std: Floats
+    warnings: tuple[str, ...] = ()
 
 
 def reduce_readings(contents: Contents) -> Reduced:
     """The measurement that a journal holds; see the module's text for the formula.
 
     Raises:
-        InputError: no dark or white series, a white that gives no light, or no reading in range.
+        InputError: no dark or white series, a white that gives no light, no reading in range, or
+            readings that contradict each other (`contradictions`).
     """
     header, plan = contents.header, contents.header.plan
     if not isinstance(plan, FixedPlan):
@@ -115,7 +93,10 @@ def reduce_readings(contents: Contents) -> Reduced:
         raise InputError("journal: none of its readings is in range; nothing can be reduced")
     index = np.array([t.step.cell for t in in_range])
     signal, times = lamp.signals([t.reading for t in in_range]), _times(in_range)
-    white_noise = np.hypot(*lamp.white_share(times)) * lamp.white_single_std
+    white_noise = np.hypot(
+        np.hypot(*lamp.white_share(times)) * lamp.white_single_std,
+        np.hypot(*lamp.white_weight(times)) * white_move_std(header),
+    )
     if plan.white_at_each:
         own = _whites_by_cell(contents.taken, header.white.at_cells, lamp, len(cells))
         white, xyz = own.white[index], own.xyz[index]
@@ -126,7 +107,8 @@ def reduce_readings(contents: Contents) -> Reduced:
         white, xyz = lamp.white(times), np.array(header.white.xyz)
         lit = _cos_incidence(header.white.position) / _cosines(cells)[index]
         drift = lamp.drift(times)
-    ratio = lamp.ratio(signal - lamp.dark(times), white)
+    signal = signal - lamp.dark(times)
+    ratio = lamp.ratio(signal, white)
     factor = xyz * lit[:, None]
 
     count = np.bincount(index, minlength=len(cells))
@@ -137,14 +119,18 @@ def reduce_readings(contents: Contents) -> Reduced:
     with np.errstate(invalid="ignore", divide="ignore"):
         own_std = spread * np.sqrt(n / (n - 1.0))
     single = factor * np.hypot(ratio * lamp.white_single_std, lamp.dark_single_std)
+    warnings = (
+        *contradictions.of_repeats(factor * ratio, index, values, single, cells),
+        *contradictions.of_white(lamp.white_level, lamp.white_time_s),
+    )
     # dark is in the white, too: d ratio / d D = (ratio − 1) / W
     dark_noise = factor * abs(1 - ratio) * np.hypot(*lamp.dark_share(times)) * lamp.dark_single_std
-    budget = Budget(
+    budget = _ReadingTerms(
         repeatability=np.where(n > 1, own_std, mean(single)) / np.sqrt(n),
         white=abs(mean(factor * ratio * white_noise)),
         dark=mean(dark_noise),
         drift=abs(mean(factor * ratio * drift)),
-        scale=abs(values) * header.white.relative_std,
+        colour=abs(mean(factor * lamp.colour_error(signal, white, header.stated))),
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         repeats = (own_std / abs(values))[count > 1]
@@ -156,6 +142,7 @@ def reduce_readings(contents: Contents) -> Reduced:
         budget,
         count,
         np.median(repeats, axis=0) if len(repeats) else np.full(3, np.nan),
+        warnings,
     )
 
 
@@ -207,9 +194,33 @@ class _Lamp:
         ratio = np.where(strong, signal / np.where(strong, white, 1.0), 0.0)
         return (ratio @ self._weights.T) / (strong @ self._weights.T)
 
+    def colour_error(self, signal: Floats, white: Floats, stated: StatedUncertainty) -> Floats:
+        """`[N, 3]`: of the ratio, by the wavelengths' or the tristimulus values' own error.
+
+        An instrument whose wavelengths are off by δ reads ρ(λ + δ) for ρ(λ): dX/dδ = Σ w ρ′.
+        """
+        if self.wavelengths_nm is None:
+            return stated.xyz_std * signal / white
+        if not stated.wavelength_std_nm or len(self.wavelengths_nm) < 2:
+            return np.zeros((len(signal), 3))
+        strong = white > _WEAK_BAND * white.max(axis=-1, keepdims=True)
+        ratio = np.where(strong, signal / np.where(strong, white, 1.0), 0.0)
+        change = np.where(strong, np.gradient(ratio, self.wavelengths_nm, axis=1), 0.0)
+        per_nm = (change @ self._weights.T) / (strong @ self._weights.T)
+        return np.asarray(stated.wavelength_std_nm * per_nm)
+
+    def white_weight(self, time_s: Floats) -> Floats:
+        """`[2, N, 1]`: what the series before and after weigh."""
+        return _share(time_s, self.white_time_s, np.ones(len(self.white_time_s), np.int64))
+
     def white_share(self, time_s: Floats) -> Floats:
         """`[2, N, 1]`: what the series before and after weigh, over √ of their readings."""
         return _share(time_s, self.white_time_s, self._white_count)
+
+    def white_mean_std(self, move_std: float) -> float:
+        """Relative, in Y, of the mean of all white readings; `move_std` of each series."""
+        noise = self.white_single_std[1] / np.sqrt(self._white_count.sum())
+        return float(np.hypot(noise, move_std / np.sqrt(len(self._white_count))))
 
     def dark_share(self, time_s: Floats) -> Floats:
         return _share(time_s, self._dark_time, self._dark_count)
@@ -237,6 +248,17 @@ class _Lamp:
 
 
 @dataclass(frozen=True)
+class _ReadingTerms:
+    """The terms of `Budget` that follow from the readings, `[cells, 3]` each."""
+
+    repeatability: Floats
+    white: Floats
+    dark: Floats
+    drift: Floats
+    colour: Floats
+
+
+@dataclass(frozen=True)
 class _OwnWhites:
     white: Floats  # [cells, C] darkness subtracted; NaN where not in range
     xyz: Floats  # [cells, 3]
@@ -257,9 +279,10 @@ def _sorted(
     plan: FixedPlan,
     lamp: _Lamp,
     values: Floats,
-    budget: Budget,
+    terms: _ReadingTerms,
     count: NDArray[np.int64],
     repeat_std: Floats,
+    warnings: tuple[str, ...],
 ) -> Reduced:
     """The cells of the plan and those it excluded, in the order of their angles."""
     over, under = (_out_of_range(contents, which) for which in (Range.OVER, Range.UNDER))
@@ -276,31 +299,31 @@ def _sorted(
     def valued(column: Floats) -> Floats:
         return rows(np.where(missing[:, None], np.nan, column), np.nan)
 
-    terms = Budget(
-        repeatability=valued(budget.repeatability),
-        white=valued(budget.white),
-        dark=valued(budget.dark),
-        drift=valued(budget.drift),
-        scale=valued(budget.scale),
-    )
     header = contents.header
     incidence, receiving, tilt = angles[order].T
-    return Reduced(
-        measurement=BrdfMeasurement(
-            incidence,
-            receiving,
-            tilt,
-            values=valued(values),
-            std=terms.total,
-            count=rows(count, 0),
-            valid=~rows(missing, True),
-            metadata=Metadata(
-                sample=header.sample,
-                instrument=f"{header.goniometer}; {header.colorimeter}",
-                simulated=header.simulated,
-            ),
+    measurement = BrdfMeasurement(
+        incidence,
+        receiving,
+        tilt,
+        values=valued(values),
+        count=rows(count, 0),
+        valid=~rows(missing, True),
+        metadata=Metadata(
+            sample=header.sample,
+            instrument=f"{header.goniometer}; {header.colorimeter}",
+            simulated=header.simulated,
+            common=common_errors(header, lamp.white_mean_std(white_move_std(header))),
         ),
-        budget=terms,
+    )
+    geometry = geometry_terms(measurement, header)
+    budget = Budget(
+        **{field.name: valued(getattr(terms, field.name)) for field in fields(terms)},
+        **vars(geometry),
+        scale=abs(measurement.values) * header.white.relative_std,
+    )
+    return Reduced(
+        measurement=replace(measurement, std=budget.total),
+        budget=budget,
         over=rows(over, 0),
         under=rows(under, 0),
         excluded=rows(np.zeros(len(plan.cells), bool), True),
@@ -309,6 +332,7 @@ def _sorted(
         white_time_s=lamp.white_time_s,
         white_single_std=lamp.white_single_std,
         repeat_std=repeat_std,
+        warnings=warnings,
     )
 
 

@@ -18,6 +18,7 @@ from raden_torch.capture.spectrometer.ports import (
     Position,
     Target,
 )
+from raden_torch.capture.spectrometer.stated import StatedUncertainty
 
 ANGLES = ("incidence", "receiving", "tilt")
 """The three angles of a position, in the order in which every table here keeps them."""
@@ -37,12 +38,16 @@ class Axis:
         direction: 1 where the angle grows with the motor, −1 where it falls.
         zero_deg: where the motor stands, after homing, when the angle is 0.
         limits_deg: the soft limits, in degrees of the angle.
+        zero_std_deg: standard uncertainty of `zero_deg` after homing.
+        position_std_deg: standard deviation of where a move ends.
     """
 
     letter: str
     direction: int = 1
     zero_deg: float = 0.0
     limits_deg: tuple[float, float] = (-90.0, 90.0)
+    zero_std_deg: float = 0.05
+    position_std_deg: float = 0.02
 
     def motor(self, angle_deg: float) -> float:
         return self.zero_deg + self.direction * angle_deg
@@ -126,6 +131,9 @@ class ColorimeterSettings:
         port: a device or a URL of pyserial.
         baud: None for the instrument's usual rate.
         spectrum: read the spectrum too, where the instrument has one.
+        wavelength_std_nm: standard uncertainty of its wavelengths; 0 where none is stated.
+        xyz_std: relative standard uncertainty of X, Y and Z without a spectrum, between colours;
+            0 where none is stated.
     """
 
     driver: str
@@ -134,6 +142,8 @@ class ColorimeterSettings:
     spectrum: bool = True
     reply_timeout_s: float = 12.0
     connect_timeout_s: float = 12.0
+    wavelength_std_nm: float = 0.0
+    xyz_std: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +168,17 @@ class Rig:
     obstruction: Obstruction = Obstruction()
     white: WhiteReference = WhiteReference()
     simulated: bool = False
+
+    @property
+    def stated(self) -> StatedUncertainty:
+        """Its own uncertainty, as its file states it."""
+        a, r, t = (self.goniometer_settings.axes[name] for name in ANGLES)
+        return StatedUncertainty(
+            (a.zero_std_deg, r.zero_std_deg, t.zero_std_deg),
+            (a.position_std_deg, r.position_std_deg, t.position_std_deg),
+            self.colorimeter_settings.wavelength_std_nm,
+            self.colorimeter_settings.xyz_std,
+        )
 
     def reachable(self, position: Position) -> str | None:
         """Why there can be no reading at `position`; None where there can."""

@@ -93,6 +93,7 @@ def _goniometer(table: _Table) -> GoniometerSettings:
 
 def _axes(table: _Table) -> dict[str, Axis]:
     axes: dict[str, Axis] = {}
+    default = Axis("")
     for name in ANGLES:
         entry = table.table(name)
         letter = entry.text("letter").upper()
@@ -106,6 +107,8 @@ def _axes(table: _Table) -> dict[str, Axis]:
             entry.choice("direction", (1, -1), 1),
             entry.number("zero_deg", 0.0, -3600.0, 3600.0),
             entry.interval("limits_deg", -180.0, 180.0),
+            entry.number("zero_std_deg", default.zero_std_deg, 0.0, 10.0),
+            entry.number("position_std_deg", default.position_std_deg, 0.0, 10.0),
         )
         entry.check_all_used()
     table.check_all_used()
@@ -156,6 +159,8 @@ def _colorimeter(table: _Table) -> ColorimeterSettings:
         spectrum=table.flag("spectrum", default.spectrum),
         reply_timeout_s=table.number("reply_timeout_s", default.reply_timeout_s, 0.1, 120.0),
         connect_timeout_s=table.number("connect_timeout_s", default.connect_timeout_s, 0.2, 120.0),
+        wavelength_std_nm=table.number("wavelength_std_nm", default.wavelength_std_nm, 0.0, 10.0),
+        xyz_std=table.number("xyz_std", default.xyz_std, 0.0, 0.5),
     )
     table.check_all_used()
     return settings

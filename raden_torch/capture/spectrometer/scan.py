@@ -17,6 +17,7 @@ from raden_torch.capture.spectrometer.journal import (
     FINISHED,
     Fault,
     Header,
+    Journal,
     JournalFile,
     JournalWriteError,
     Reference,
@@ -97,7 +98,7 @@ def check_resumable(journal: JournalFile, header: Header) -> None:
 
 
 def run_scan(
-    journal: JournalFile,
+    journal: Journal,
     goniometer: Goniometer,
     colorimeter: Colorimeter,
     *,
@@ -161,7 +162,7 @@ class _Scan:
 
     def __init__(
         self,
-        journal: JournalFile,
+        journal: Journal,
         goniometer: Goniometer,
         colorimeter: Colorimeter,
         on_step: Callable[[int, str], None],

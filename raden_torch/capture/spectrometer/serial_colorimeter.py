@@ -1,4 +1,4 @@
-"""What every colorimeter behind a serial line has: the line, opened, opened again and given back."""
+"""What colorimeters behind a serial line share: the line, opened, opened again, given back."""
 
 from __future__ import annotations
 

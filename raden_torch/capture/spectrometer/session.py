@@ -246,6 +246,7 @@ def _header(
         simulated=rig.simulated,
         sample=sample,
         started=now_utc(),
+        stated=rig.stated,
     )
 
 

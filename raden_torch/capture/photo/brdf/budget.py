@@ -28,7 +28,8 @@ class PhotoBudget:
         place: by the slopes within the cell that no sample tells of.
         white: of the white in the photographs that the cell was seen in, or of their lamps'
             intensities.
-        geometry: by the lamps' directions: of the angles, times the slopes, and of cos θi.
+        geometry: of the lamps' directions and the sample's normals: of the angles, times the
+            slopes, and of cos θi.
         colour: of the map from camera RGB to XYZ, by its left-out patches; 0 without one.
         scale: the white reference's certificate; not in `total`.
     """
@@ -52,26 +53,42 @@ class PhotoBudget:
         return np.sqrt(sum((term**2 for term in terms), np.zeros_like(self.noise)))
 
 
-def relative_geometry(nodes: NodeValues, grid: CellGrid, weight: Floats, std_deg: Floats) -> Floats:
-    """`[cells, 3]` in the unit of the values, by lamps whose directions are `std_deg` `[K]` off.
+def direction_slopes(value: Floats, slope: Floats, nodes_deg: Floats) -> Floats:
+    """`[M, 3]`: how much values change when their lamp, or the normal, leans by a degree.
 
-    A lamp that leans by δ changes incidence and receiving by up to δ each, in opposite directions
-    along the plane of incidence, the tilt by up to δ, and cos θi by tan θi δ. The errors of
-    different lamps are independent: a cell seen under several has the less.
+    What is taken for incidence a and was a − δ is placed δ R' too low and, divided by cos a
+    instead of cos(a − δ), δ tan a R too high; in the same way for the tilt, which a lean across the
+    plane of incidence changes by about as much.
 
     Args:
-        weight: `[K, cells]` share of each shot in each cell.
+        value: `[M, 3]`.
+        slope: `[M, 3, 3]` of each channel, a degree of incidence, receiving and tilt.
+        nodes_deg: `[M, 3]`.
     """
-    angles = np.radians(grid.nodes_deg())
-    cosine = np.cos(angles[:, 0]) * np.cos(angles[:, 2])
-    tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 0.05)
-    slope = np.nan_to_num(nodes.slope)
-    # a lamp's direction turned in the plane of L and V: a + r is the angle between them
-    along = slope[..., 0] - np.radians(1.0) * tangent[:, None] * np.nan_to_num(nodes.value)
-    across = slope[..., 2]
-    per_degree = np.hypot(along, across)
-    together = np.sqrt(((weight * std_deg[:, None]) ** 2).sum(axis=0))
-    return np.asarray(per_degree * together[:, None])
+    tangent = np.tan(np.radians(nodes_deg))
+    degree = np.radians(1.0) * value
+    along = degree * tangent[:, :1] - slope[..., 0]
+    across = degree * tangent[:, 2:] - slope[..., 2]
+    return np.hypot(along, across)
+
+
+def of_geometry(
+    nodes: NodeValues, grid: CellGrid, share: Floats, lamp_std_deg: Floats, normal_std_deg: float
+) -> Floats:
+    """`[cells, 3]` in the unit of the values.
+
+    The lamps' errors are independent: a cell seen under several has the less. The normals' are not.
+
+    Args:
+        share: `[K, cells]` of the samples of each cell that each shot gave.
+        lamp_std_deg: `[K]` of the lamps' directions.
+        normal_std_deg: of the sample's normals, from its outline.
+    """
+    per_degree = direction_slopes(
+        np.nan_to_num(nodes.value), np.nan_to_num(nodes.slope), grid.nodes_deg()
+    )
+    lamps = np.sqrt(((share * lamp_std_deg[:, None]) ** 2).sum(axis=0))
+    return np.asarray(per_degree * np.hypot(lamps, normal_std_deg)[:, None])
 
 
 def relative_white(weight: Floats, scale: Scale) -> Floats:

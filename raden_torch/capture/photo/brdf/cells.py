@@ -1,8 +1,9 @@
 """The cells of the raden grid, and where a sample lies in its cell.
 
 A sample of incidence a, receiving r, tilt t belongs to the cell of the nearest node;
-x = (Δa, Δr, Δt) is its place there in steps, −0.5…0.5. At incidence 0, (a, r, t) and (−a, −r, −t) are one geometry:
-a sample near it stands in two cells, (0, r, t) and (0, −r, −t), on both sides of the node.
+x = (Δa, Δr, Δt) is its place there in steps, −0.5…0.5. At incidence 0, (a, r, t) and (−a, −r, −t)
+are one geometry: a sample near it stands in two cells, (0, r, t) and (0, −r, −t), on both sides of
+the node.
 """
 
 from __future__ import annotations

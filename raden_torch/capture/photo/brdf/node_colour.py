@@ -10,8 +10,8 @@ import numpy as np
 from raden_torch.capture.photo.brdf.accumulate import Accumulated
 from raden_torch.capture.photo.brdf.budget import (
     PhotoBudget,
+    of_geometry,
     relative_colour,
-    relative_geometry,
     relative_white,
 )
 from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
@@ -89,9 +89,21 @@ class NodeColour:
 
 
 def budget_of(
-    found: Accumulated, grid: CellGrid, colour: NodeColour, lamp_std_deg: Floats, scale_std: float
+    found: Accumulated,
+    grid: CellGrid,
+    colour: NodeColour,
+    *,
+    lamp_std_deg: Floats,
+    normal_std_deg: float,
+    scale_std: float,
 ) -> PhotoBudget:
-    """The terms of every cell, in the channels of the result."""
+    """The terms of every cell, in the channels of the result.
+
+    Args:
+        lamp_std_deg: `[K]` of the lamps' directions.
+        normal_std_deg: of the sample's normals.
+        scale_std: of the white's reflectance factor, relative.
+    """
     nodes = found.nodes
     slopes = colour.slopes(nodes.value)
     factors = colour.factors(nodes.value)
@@ -109,7 +121,7 @@ def budget_of(
         noise=apart(nodes.noise),
         place=together(nodes.place),
         white=apart(abs(nodes.value) * relative_white(share, found.scale)),
-        geometry=together(relative_geometry(nodes, grid, share, lamp_std_deg)),
+        geometry=together(of_geometry(nodes, grid, share, lamp_std_deg, normal_std_deg)),
         colour=abs(factors) * of_colour,
         scale=abs(factors) * scale_std,
     )

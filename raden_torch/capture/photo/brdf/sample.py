@@ -213,6 +213,6 @@ def _need_pose(pose: Pose | None, name: str) -> Pose:
     if pose is None:
         raise InputError(
             f"{name}: the board's pose in it is not known; `raden capture calibrate --camera` "
-            "finds it"
+            "finds it (a file with one pose serves all photographs, where nothing moves)"
         )
     return pose

@@ -76,11 +76,12 @@ def series(
         lights: the lights file, for messages.
         stack: how many files one after another are one view at several exposures.
         numbers: of each photograph's lamp, from 1; empty where photograph k has lamp k.
-        poses: of the board, by file name; one alone serves all photographs.
+        poses: of the board, by file name; one alone serves all photographs; photographs without
+            one have None.
         how: with exposure times for each file, for those of one stack, or none.
 
     Raises:
-        InputError: numbers that do not fit, a lamp that is not in the list, a missing pose.
+        InputError: numbers that do not fit, a lamp that is not in the list.
     """
     if not files:
         raise InputError("no photograph was given; one a lamp was wanted")
@@ -176,13 +177,8 @@ def _ways(groups: Sequence[tuple[Path, ...]], how: Development) -> list[Developm
 
 
 def _pose(group: tuple[Path, ...], poses: Mapping[str, Pose] | None) -> Pose | None:
+    """The pose in the photograph itself; one alone in the file serves all, as nothing moves."""
     if not poses:
         return None
     found = next((poses[path.name] for path in group if path.name in poses), None)
-    if found is None and len(poses) > 1:
-        raise InputError(
-            f"{group[0]}: the camera file has {len(poses)} poses of the board, but none of it; "
-            "`raden capture calibrate --camera` finds it, or give a file with one pose where "
-            "nothing moves"
-        )
-    return found if found is not None else next(iter(poses.values()))
+    return next(iter(poses.values())) if found is None and len(poses) == 1 else found

@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ from raden_torch.capture.spectrometer.csv_file import load_csv
 from raden_torch.capture.spectrometer.rig import Rig
 from raden_torch.capture.spectrometer.rig_config import load_rig
 from raden_torch.capture.spectrometer.simulation.faults import Fault, read_log
+from raden_torch.capture.spectrometer.simulation.laboratory import Errors
+from raden_torch.capture.spectrometer.stated import StatedUncertainty
 from raden_torch.errors import InputError
 
 WHITE_FACTOR = 99.0
@@ -47,6 +49,8 @@ class Conditions:
         dark_level_cd_m2: what is left with the lamp shut (stray light, the instrument's own zero).
         lamp_drift: how far, relative, the lamp wanders from its first level, over hours of the
             simulated clock.
+        zero_error_deg: standard deviation of the error of each axis' zero, drawn once by the seed.
+        position_error_deg: standard deviation of where each axis stands after a move.
         white_luminance_cd_m2: of the perfect diffuser at incidence and tilt 0.
         saturation_cd_m2: above this the instrument answers ER10.
     """
@@ -55,6 +59,8 @@ class Conditions:
     dark_noise_cd_m2: float = 0.002
     dark_level_cd_m2: float = 0.05
     lamp_drift: float = 0.01
+    zero_error_deg: float = 0.0
+    position_error_deg: float = 0.0
     white_luminance_cd_m2: float = 1000.0
     saturation_cd_m2: float = 5e5
 
@@ -65,6 +71,24 @@ class Conditions:
                 raise InputError(f"conditions: {field.name} = {value!r}; at least 0 was wanted")
         if self.white_luminance_cd_m2 == 0.0:
             raise InputError("conditions: white_luminance_cd_m2 = 0; more than 0 was wanted")
+
+    @property
+    def errors(self) -> Errors:
+        """As the laboratory has them, relative to the perfect diffuser's light."""
+        return Errors(
+            noise=self.noise,
+            dark_noise=self.dark_noise_cd_m2 / self.white_luminance_cd_m2,
+            dark_level=self.dark_level_cd_m2 / self.white_luminance_cd_m2,
+            lamp_drift=self.lamp_drift,
+            zero_deg=self.zero_error_deg,
+            position_deg=self.position_error_deg,
+        )
+
+    @property
+    def stated(self) -> StatedUncertainty:
+        """What such a rig states of itself: the truth."""
+        zero, position = self.zero_error_deg, self.position_error_deg
+        return StatedUncertainty((zero, zero, zero), (position, position, position))
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,14 +158,11 @@ def simulated_rig(
             "white_axis": 0,
             "white_from": _WHITE_FROM_X,
             "white_factor": WHITE_FACTOR,
-            "noise": conditions.noise,
-            "dark_noise": conditions.dark_noise_cd_m2 / conditions.white_luminance_cd_m2,
-            "dark_level": conditions.dark_level_cd_m2 / conditions.white_luminance_cd_m2,
-            "lamp_drift": conditions.lamp_drift,
+            "errors": asdict(conditions.errors),
             "saturation": conditions.saturation_cd_m2,
         }
         config_path = folder / "rig.toml"
-        config_path.write_text(_rig_file(folder, time_scale), encoding="utf-8")
+        config_path.write_text(_rig_file(folder, time_scale, conditions), encoding="utf-8")
         running: list[subprocess.Popen[bytes]] = []
         try:
             running.append(_start("grbl_controller", "goniometer", stage, folder))
@@ -199,7 +220,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.wait()
 
 
-def _rig_file(folder: Path, time_scale: float) -> str:
+def _rig_file(folder: Path, time_scale: float, conditions: Conditions) -> str:
     def scaled(seconds: float) -> float:
         return max(seconds / time_scale, _LEAST_TIMEOUT_S)
 
@@ -210,6 +231,8 @@ letter = "{letter}"
 direction = {direction}
 zero_deg = {zero}
 limits_deg = [{low}, {high}]
+zero_std_deg = {conditions.zero_error_deg}
+position_std_deg = {conditions.position_error_deg}
 """
         for name, (letter, direction, zero, (low, high)) in _AXES.items()
     )

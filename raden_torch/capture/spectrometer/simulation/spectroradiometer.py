@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
 
-from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.capture.spectrometer.ports import Floats, Target
 from raden_torch.capture.spectrometer.simulation.faults import Fault, FaultPlan
-from raden_torch.capture.spectrometer.simulation.scene import Scene, load_scene
+from raden_torch.capture.spectrometer.simulation.laboratory import Errors, Laboratory
+from raden_torch.capture.spectrometer.simulation.scene import load_scene
 from raden_torch.capture.spectrometer.simulation.serve import Outbox, serve
 from raden_torch.capture.spectrometer.simulation.stage import read_stage
 
@@ -149,39 +149,22 @@ class Spectroradiometer:
 
 
 class Look:
-    """Spectral radiance in front of the instrument, from the stage's file."""
+    """Spectral radiance in front of the instrument, by what the stage's file says."""
 
-    def __init__(self, config: dict[str, Any], scene: Scene, random: np.random.Generator):
-        self._c, self._scene, self._random = config, scene, random
+    def __init__(self, config: dict[str, Any], laboratory: Laboratory):
+        self._c, self._laboratory = config, laboratory
         self._stage = Path(str(config["stage"]))
-        self._sample = RegularGridInterpolator(scene.axes_deg, scene.xyz)
-        self._bounds = np.array([[axis[0], axis[-1]] for axis in scene.axes_deg]).T
-        self._phase = random.uniform(0, 2 * np.pi)
 
     def __call__(self, now: float) -> Floats:
-        c, scene = self._c, self._scene
+        c = self._c
         stage = read_stage(self._stage)
         axes = stage.at(c["began_s"] + now / c["time_scale"])
-        incidence, _, tilt = angles = np.array(
-            [direction * (axes[i] - zero) for i, direction, zero in c["axes"]]
-        )
-        cosine = math.cos(math.radians(incidence)) * math.cos(math.radians(tilt))
-        if axes[c["white_axis"]] > c["white_from"]:
-            reflectance = np.full(len(scene.lamp), c["white_factor"] / 100.0)
-        else:
-            xyz = self._sample(np.clip(angles, *self._bounds))[0]
-            reflectance = scene.reflectance_of_xyz @ xyz
-        level = 0.0 if stage.shutter_closed else max(cosine, 0.0) * self._lamp(now)
-        noise = 1.0 + c["noise"] * self._random.standard_normal()
-        dark = c["dark_level"] + c["dark_noise"] * self._random.standard_normal()
-        return scene.lamp * (reflectance * level * noise + dark)
-
-    def _lamp(self, now: float) -> float:
-        """It settles exponentially over an hour, and wanders over six."""
-        hours = now / 3600.0
-        settling = 1.0 - math.exp(-hours)
-        wander = math.sin(2 * math.pi * hours / 6.0 + self._phase) - math.sin(self._phase)
-        return 1.0 + float(self._c["lamp_drift"]) * (0.7 * settling + 0.15 * wander)
+        angles = np.array([direction * (axes[i] - zero) for i, direction, zero in c["axes"]])
+        at_white = axes[c["white_axis"]] > c["white_from"]
+        target = Target.WHITE if at_white else Target.SAMPLE
+        if stage.shutter_closed:
+            target = Target.DARK
+        return self._laboratory.radiance(angles, target, now)
 
 
 def _joined(values: Floats) -> str:
@@ -197,7 +180,10 @@ def main(config: Path) -> None:
         c["seed"] + 1,
         Path(c["fault_log"]),
     )
-    look = Look(c, scene, np.random.default_rng(c["seed"] + 2))
+    laboratory = Laboratory(
+        scene, Errors(**c["errors"]), c["white_factor"], np.random.default_rng(c["seed"] + 2)
+    )
+    look = Look(c, laboratory)
     instrument = Spectroradiometer(faults, look, scene.xyz_of, c["saturation"])
     serve(instrument, Path(c["link"]), faults, c["time_scale"], c["began_s"])
 

@@ -1,0 +1,114 @@
+"""Where the standard deviation of a reading comes from: the terms, and what a rig states of itself.
+
+Type A terms are found from the scan's own readings, type B terms follow from what the rig file
+states (JCGM 100:2008, 4.2 and 4.3). All are standard uncertainties (k = 1) of
+R = R_w (S − D) / (W − D) · cos θi(w) / cos θi of docs/measuring.md:
+
+| term | type | formula | shared with |
+|---|---|---|---|
+| repeatability | A | s / √n of a cell's n readings; of one, s of the references | nothing |
+| white | A, B | R s_W √Σ share²/n; R tan a_w u(move) √Σ share² | cells near in time |
+| dark | A | R_w |1 − ratio| s_D √Σ share²/n | cells near in time |
+| drift | A | R · change between two white series / √12 | cells near in time |
+| positioning | B | √Σ_axes ((∂R/∂angle − R tan angle) u(move))² | nothing |
+| zeros | B | √Σ_axes (dR/dzero · u(zero))², see `measurement.common_errors` | all cells |
+| colour | B | |∂R/∂λ| u(λ) with a spectrum, R u(xyz) without | all cells of one colour |
+| scale | B | R u(certificate) | all cells; not in `total` |
+
+tan of incidence and of tilt alone: receiving does not change the irradiance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from raden_torch.capture.spectrometer.journal import Header
+from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.measurement import BrdfMeasurement
+from raden_torch.measurement.common_errors import CommonErrors, Triple, zero_sensitivity
+from raden_torch.measurement.slopes import slopes_per_deg
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Standard deviations (k = 1) of the reflectance factors, term by term, `[M, 3]` each.
+
+    What each is, and what it is shared with, is in the module's table.
+    """
+
+    repeatability: Floats
+    white: Floats
+    dark: Floats
+    drift: Floats
+    positioning: Floats
+    zeros: Floats
+    colour: Floats
+    scale: Floats
+
+    @property
+    def total(self) -> Floats:
+        """All terms but `scale`, in quadrature: what a measurement carries as its `std`.
+
+        The scale is common to all cells, so it would only hide how well they compare.
+        """
+        squares = [term**2 for name, term in self.terms().items() if name != "scale"]
+        return np.sqrt(np.sum(squares, axis=0))
+
+    def terms(self) -> dict[str, Floats]:
+        """`[M, 3]` by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+@dataclass(frozen=True)
+class GeometryTerms:
+    """`[M, 3]` each; see the module's table."""
+
+    positioning: Floats
+    zeros: Floats
+
+
+def common_errors(header: Header, white_mean_std: float) -> CommonErrors:
+    """What the readings of a scan share, as their measurement states it.
+
+    Args:
+        white_mean_std: relative, of the mean of all its white readings.
+    """
+    here = header.white.position
+    at_cells = bool(header.white.at_cells)
+    return CommonErrors(
+        scale_std=header.white.relative_std,
+        scale_reference=header.white.name if header.white.relative_std else "",
+        white_mean_std=white_mean_std,
+        zero_std_deg=header.stated.zero_std_deg,
+        white_deg=None if at_cells else (here.incidence_deg, here.receiving_deg, here.tilt_deg),
+    )
+
+
+def geometry_terms(measurement: BrdfMeasurement, header: Header) -> GeometryTerms:
+    """From the slopes of the measured values; they are the measurement's own, with its noise."""
+    m, common = measurement, measurement.metadata.common
+    angles = np.stack([m.incidence_deg, m.receiving_deg, m.tilt_deg], axis=1)
+    slopes = slopes_per_deg(m)
+    # a move of the sample leaves the white where it was
+    own_white = None if common.white_deg is None else (0.0, 0.0, 0.0)
+    moved = zero_sensitivity(m.values, angles, slopes, own_white)
+    zeroed = zero_sensitivity(m.values, angles, slopes, common.white_deg)
+    return GeometryTerms(
+        _in_quadrature(moved, header.stated.position_std_deg),
+        _in_quadrature(zeroed, header.stated.zero_std_deg),
+    )
+
+
+def white_move_std(header: Header) -> float:
+    """Relative, of the irradiance on the white after one move to its geometry."""
+    if header.white.at_cells:
+        return 0.0
+    here, stated = header.white.position, header.stated.position_std_deg
+    tangents = np.tan(np.radians([here.incidence_deg, here.tilt_deg]))
+    return float(np.hypot(*(tangents * np.radians([stated[0], stated[2]]))))
+
+
+def _in_quadrature(sensitivity: Floats, std_deg: Triple) -> Floats:
+    return np.asarray(np.sqrt(((sensitivity * np.array(std_deg)) ** 2).sum(axis=-1)))

@@ -1,0 +1,87 @@
+"""The error of each reading, taken apart: its own part, and what it shares with all others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.measurement.colour_conversion import matrix_to
+from raden_torch.measurement.common_errors import zero_sensitivity
+from raden_torch.measurement.readings import BrdfMeasurement, Floats
+from raden_torch.measurement.slopes import slopes_per_deg
+
+Rows = NDArray[np.intp]
+
+_LEAST_OWN = 1.0 / 3.0  # of `std`: what a slope that was overestimated may take from it
+_LEAST_STD = 1e-9  # relative to the largest value: rounding, where no error is stated
+
+
+@dataclass(frozen=True)
+class ErrorParts:
+    """N valid readings of C channels. The covariance of a channel is diag(`variance`) + U U′ with
+    the columns of `zeros` as U; the scale's error is beside it, in the metadata.
+
+    Attributes:
+        values: `[N, C]`.
+        variance: `[N, C]` of each reading's own error.
+        zeros: `[N, C, 3]` what one standard deviation of each axis' zero does.
+    """
+
+    values: Floats
+    variance: Floats
+    zeros: Floats
+
+    def interpolated(self, weights: Floats, rows: Rows, added: Floats) -> ErrorParts:
+        """At N′ places: each `weights` `[N′, K]` times the readings `rows` `[N′, K]`.
+
+        Args:
+            added: `[N′, C]` standard deviation of the interpolation itself.
+        """
+        mixed = lambda column: np.einsum("nk,nk...->n...", weights, column[rows])  # noqa: E731
+        variance = np.einsum("nk,nkc->nc", weights**2, self.variance[rows]) + added**2
+        return ErrorParts(mixed(self.values), variance, mixed(self.zeros))
+
+    def at(self, rows: Rows) -> ErrorParts:
+        """Some of the readings."""
+        return ErrorParts(self.values[rows], self.variance[rows], self.zeros[rows])
+
+
+def error_parts(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> ErrorParts:
+    """The valid readings of a measurement in other channels.
+
+    What the zeros do is in `std` and is taken out of it, in the channels that were measured: the
+    slopes there are those that it was put in with.
+
+    Args:
+        channels: its own; or X, Y, Z or R, G, B.
+
+    Raises:
+        InputError: its channels make no colour.
+    """
+    m = measurement.select(measurement.valid)
+    common = m.metadata.common
+    floor = (_LEAST_STD * abs(m.values).max(initial=1e-6)) ** 2
+    variance = np.full(m.values.shape, floor)
+    zeros = np.zeros((*m.values.shape, 3))
+    if any(common.zero_std_deg):
+        zeros = zero_effects(m)
+    if m.std is not None:
+        square = np.nan_to_num(m.std) ** 2
+        own = np.maximum(square - (zeros**2).sum(axis=-1), _LEAST_OWN**2 * square)
+        variance = np.maximum(own, floor)
+    matrix = matrix_to(m, channels)
+    return ErrorParts(
+        m.values @ matrix.T,
+        variance @ (matrix**2).T,
+        np.einsum("ncz,dc->ndz", zeros, matrix),
+    )
+
+
+def zero_effects(measurement: BrdfMeasurement) -> Floats:
+    """`[M, C, 3]`: what one standard deviation of each axis' zero does to each value."""
+    m, common = measurement, measurement.metadata.common
+    angles = np.stack([m.incidence_deg, m.receiving_deg, m.tilt_deg], axis=1)
+    sensitivity = zero_sensitivity(m.values, angles, slopes_per_deg(m), common.white_deg)
+    return np.asarray(sensitivity * np.array(common.zero_std_deg))
