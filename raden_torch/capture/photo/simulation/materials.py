@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -79,11 +80,10 @@ def material_of(name: str) -> Material:
     if name in PLUGINS:
         return Material(name, PLUGINS[name], None, f"Mitsuba's {PLUGINS[name]['type']}")
     if name in tuple(SPECIMENS):
-        fine = simulate_specimen(name, step_deg=_SHELL_STEP_DEG)
         source = (
             f"simulated shell {name}, trilinear between nodes {_SHELL_STEP_DEG:g} degrees apart"
         )
-        return Material(name, None, table_of(fine, name), source)
+        return Material(name, None, _shell(name), source)
     if Path(name).suffix.lower() != ".csv":
         known = ", ".join([*PLUGINS, *SPECIMENS])
         raise InputError(f"material {name!r}: {known}, or a measurement (.csv) was wanted")
@@ -93,6 +93,11 @@ def material_of(name: str) -> Material:
         raise InputError(f"{name}: {error.strerror}; a measurement was wanted") from None
     source = f"{Path(name).name}, trilinear between its nodes"
     return Material(Path(name).stem, None, table_of(measured, name), source)
+
+
+@cache
+def _shell(name: str) -> Table:
+    return table_of(simulate_specimen(name, step_deg=_SHELL_STEP_DEG), name)
 
 
 def truth_of(mi: Any, material: Material) -> BrdfMeasurement:

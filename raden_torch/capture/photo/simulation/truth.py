@@ -112,10 +112,9 @@ def commands(plan: PhotoPlan, names: Mapping[str, Sequence[str]], stack: int) ->
     stacked = f"--stack {stack} " if stack > 1 else ""
     return [
         *first,
-        f"raden capture calibrate chart_2.png {board} --camera camera.json -o pose.json",
         f"{lights} --reference '{reference}' --reference-mask mask_{GREY_BALL}.png -o lights.json",
         f"raden capture brdf {files} {stacked}--shape sphere --mask mask_specimen.png "
-        f"--radius {plan.specimen['radius_mm']:g} --camera pose.json --lights lights.json "
+        f"--radius {plan.specimen['radius_mm']:g} --camera camera.json --lights lights.json "
         f"--white-mask mask_{WHITE}.png {brdf}",
     ]
 
