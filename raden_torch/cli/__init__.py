@@ -11,6 +11,7 @@ from raden_torch.cli import (  # noqa: F401 - importing them adds their subcomma
     model,
     picture,
     scan,
+    simulated_photographs,
 )
 from raden_torch.cli.common import app
 from raden_torch.errors import InputError
