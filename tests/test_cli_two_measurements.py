@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -54,6 +55,11 @@ def test_real_paint_agrees_with_itself_and_not_with_spectralon(
     other = raden("info", first, white)
     assert other.returncode == 0, other.stderr
     assert "verdict: they disagree" in other.stdout
+
+    picture = tmp_path / "both.png"
+    drawn = raden("plot", first, second, "-o", picture)
+    assert drawn.returncode == 0, drawn.stderr
+    assert cv2.imread(str(picture)).std() > 10
 
     merged = tmp_path / "merged.csv"
     refused = raden("merge", first, white, "-o", merged)

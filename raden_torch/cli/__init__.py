@@ -7,9 +7,11 @@ import warnings
 
 from raden_torch.cli import (  # noqa: F401 - importing them adds their subcommands
     capture,
+    capture_brdf,
     model,
     picture,
     scan,
+    simulated_photographs,
 )
 from raden_torch.cli.common import app
 from raden_torch.errors import InputError

@@ -104,11 +104,16 @@ def info(
     print(text)
 
 
-def _compared(first: BrdfMeasurement, path: Path) -> str:
+def _measurement(path: Path) -> BrdfMeasurement:
     from raden_torch.capture.importers import load_measurement
+
+    return load_measurement(path)
+
+
+def _compared(first: BrdfMeasurement, path: Path) -> str:
     from raden_torch.measurement.compare import compare
 
-    return str(compare(first, load_measurement(path)))
+    return str(compare(first, _measurement(path)))
 
 
 @app.command(epilog="Example: raden merge scan.csv photographs.csv -o shell.csv")
@@ -123,12 +128,11 @@ def merge(
     ] = False,
 ) -> None:
     """Make one measurement of several, each reading weighed by its uncertainty."""
-    from raden_torch.capture.importers import load_measurement
     from raden_torch.measurement.merge import merge as merge_measurements
 
     check_writable(output)
     with working("merging"):
-        merged = merge_measurements([load_measurement(path) for path in files], robust=robust)
+        merged = merge_measurements([_measurement(path) for path in files], robust=robust)
         merged.measurement.save(output)
     print(f"{merged}\nwrote {output}")
 
@@ -136,6 +140,10 @@ def merge(
 @app.command(epilog="Example: raden plot shell.csv -o graphs.png --figure 5 --figure 9")
 def plot(
     file: Annotated[Path, typer.Argument(help="a measurement or a model")],
+    other: Annotated[
+        Path | None, typer.Argument(help="a measurement to compare the first one with")
+    ] = None,
+    *,
     output: Annotated[Path, typer.Option("--output", "-o", help=".png, .svg or .pdf")],
     figure: Annotated[
         list[str] | None, typer.Option(help="5, 6, 7, 8, 9 or path; may be repeated; else all")
@@ -144,10 +152,16 @@ def plot(
     tilt: Annotated[float, typer.Option(help="held in fig. 5, degrees")] = 10.0,
     surface_tilt: Annotated[float, typer.Option(help="held in figs 7 and 8, degrees")] = 55.0,
 ) -> None:
-    """Draw the paper's graphs of a measurement or a model."""
-    from raden_torch.plots import FIGURES, check_plot_path, draw, save_plot
+    """Draw the paper's graphs of a measurement or a model; or where two measurements differ."""
+    from raden_torch.plots import FIGURES, check_plot_path, draw, draw_comparison, save_plot
 
     check_plot_path(output)
+    if other is not None:
+        if figure:
+            raise InputError("plot: --figure is of one file; two are compared on one sheet")
+        save_plot(draw_comparison(*(_measurement(path) for path in (file, other))), output)
+        print(f"wrote {output}")
+        return
     with working(f"drawing {file.name}"):
         sheet = draw(
             load(file),

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from raden_torch.errors import InputError
 from raden_torch.measurement.consistency import MAX_BIRGE, SIGNIFICANT, Chi2, Covariance
 from raden_torch.measurement.error_parts import ErrorParts, Rows, error_parts
-from raden_torch.measurement.matching import interpolated_at, same_geometries
+from raden_torch.measurement.matching import angles_deg, interpolated_at, same_geometries
 from raden_torch.measurement.readings import XYZ, BrdfMeasurement, Floats
 from raden_torch.measurement.regions import regions
 
@@ -92,6 +92,9 @@ class Comparison:
         regions: those that have readings, then "all".
         by_channel: χ² of all differences in each channel.
         scale: one factor between the two.
+        angles_deg: `[N, 3]` of the geometries compared.
+        deviations: `[N]` (second − first) / std in the channel `judged`.
+        region_masks: `[N]` of those geometries, by the regions' names.
     """
 
     names: tuple[str, str]
@@ -104,6 +107,9 @@ class Comparison:
     regions: tuple[RegionComparison, ...]
     by_channel: tuple[Chi2, ...]
     scale: ScaleComparison
+    angles_deg: Floats
+    deviations: Floats
+    region_masks: dict[str, NDArray[np.bool_]]
 
     @property
     def p(self) -> float:
@@ -212,6 +218,9 @@ def _compared(pair: tuple[BrdfMeasurement, BrdfMeasurement], common: _Common) ->
         ),
         by_channel=tuple(one.covariance(scale_std).chi2(one.difference) for one in pairs),
         scale=_scale(pairs[judged], scale_std),
+        angles_deg=angles_deg(at)[:, :3],
+        deviations=pairs[judged].difference / pairs[judged].covariance(scale_std).std,
+        region_masks=masks,
     )
 
 

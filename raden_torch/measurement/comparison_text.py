@@ -9,6 +9,8 @@ from raden_torch.measurement.consistency import MAX_BIRGE, SIGNIFICANT
 if TYPE_CHECKING:
     from raden_torch.measurement.compare import Comparison, RegionComparison
 
+_OVERSTATED = 1.0 / MAX_BIRGE  # Birge's ratio below: the uncertainties are too large, or shared
+
 
 def in_words(c: Comparison) -> str:
     """A line a fact, a line a region; differences are second − first, relative to their mean."""
@@ -73,7 +75,8 @@ def _verdict(c: Comparison) -> str:
     if not any(c.std_stated):
         return "verdict: none; neither states a standard deviation"
     if c.p >= SIGNIFICANT:
-        return f"verdict: they agree within their stated uncertainties (p {_p(c.p)})"
+        small = f"; they differ by {c.birge:.2g} times those" if c.birge < _OVERSTATED else ""
+        return f"verdict: they agree within their stated uncertainties (p {_p(c.p)}){small}"
     if c.agrees:
         return (
             f"verdict: they agree within {c.birge:.2f} times their stated uncertainties, "

@@ -1,10 +1,12 @@
-"""Graphs of measurements and models: the paper's figures 5 to 9 and the iridescence path.
+"""Graphs of measurements and models: the paper's figures 5 to 9, the iridescence path, and where
+two measurements differ.
 
 Drawn with Matplotlib's objects alone: no pyplot, no windows, no settings changed. (colour-science
 imports pyplot for itself; nothing here uses it.)
 """
 
 from raden_torch.plots.chromaticity import plot_path
+from raden_torch.plots.comparison import draw_comparison
 from raden_torch.plots.lines import plot_in_plane, plot_over_tilt
 from raden_torch.plots.sheet import FIGURES, PLOT_SUFFIXES, check_plot_path, draw, save_plot
 from raden_torch.plots.surfaces import plot_diffuse_surface, plot_specular_surface
@@ -14,6 +16,7 @@ __all__ = [
     "PLOT_SUFFIXES",
     "check_plot_path",
     "draw",
+    "draw_comparison",
     "plot_diffuse_surface",
     "plot_in_plane",
     "plot_over_tilt",

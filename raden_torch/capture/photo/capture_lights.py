@@ -115,7 +115,9 @@ def capture_lights(
     _warn_of_twins(lamps)
     done(0.6)
     if reference is not None:
-        lamps = _with_reference(lamps, reference, coded, lambda share: done(0.6 + 0.4 * share))
+        lamps = _with_reference(
+            lamps, reference, lens, coded, lambda share: done(0.6 + 0.4 * share)
+        )
     done(1.0)
     return FoundLamps(lamps, balls, seen, lens.straightened(photos, linear))
 
@@ -159,7 +161,11 @@ class _Lens:
 
 
 def _with_reference(
-    lamps: Lamps, reference: Reference, coded: Coding, done: Callable[[float], None]
+    lamps: Lamps,
+    reference: Reference,
+    lens: _Lens,
+    coded: Coding,
+    done: Callable[[float], None],
 ) -> Lamps:
     paths = numbered_files(reference.pattern)
     if reference.mask in paths:
@@ -172,8 +178,12 @@ def _with_reference(
     photos = read_set(paths, coded=coded, progress=lambda share: done(0.5 * share))
     mask = read_mask(reference.mask, photos.size)
     check_exposure(photos, torch.from_numpy(mask)[None, None])
+    photos = lens.straightened(
+        photos, [lens.straight(i.movedim(0, -1).numpy()) for i in photos.images]
+    )
     if reference.shape == "sphere":
-        ball = ball_from_mask(mask, name=reference.mask)
+        # of any radius: the normals that a pixel sees do not depend on it
+        ball = ball_from_mask(lens.straight(mask), matrix=lens.matrix, name=reference.mask)
         normal, inside = sphere_normals(ball, photos.size)
     else:
         if reference.fit_response:

@@ -107,7 +107,7 @@ def merge_exposures(
             saturated nearly everywhere in every exposure.
     """
     times = _checked(photos)
-    usable = [_usable(photo, ceiling) for photo in photos]
+    usable = [unsaturated(photo, ceiling) for photo in photos]
     found = noise or Noise(read=0.002, gain=0.0005)
     total, weight = _sums(photos, times, usable, found, None)
     for _ in range(2):
@@ -278,7 +278,7 @@ def _same_time(a: float | None, b: float | None) -> bool:
     return a is None or (b is not None and abs(a / b - 1) < 0.02)
 
 
-def _usable(photo: Photograph, ceiling: float) -> NDArray[np.bool_]:
+def unsaturated(photo: Photograph, ceiling: float) -> NDArray[np.bool_]:
     """`[H, W]`: below the ceiling, and not beside a saturated pixel."""
     import cv2
 

@@ -16,6 +16,7 @@ _HALF = 0.5
 _LARGEST = 0.05
 """Of the ball's area: a larger blob is a window or an over-exposed ball, not a lamp."""
 _RIVAL = 0.5
+_FOOT, _FLANK_PX = 0.05, 2
 _OUTSTANDING = 4.0
 """How many times brighter than the ball around it the lamp's image has to be."""
 _RIM = 0.985
@@ -34,7 +35,10 @@ class Highlight:
 def find_highlight(
     linear: NDArray[Any], ball: Ball, *, name: str | os.PathLike[str] = "photograph"
 ) -> Highlight:
-    """The centroid of the brightest blob on the ball, weighted by what exceeds half of its peak.
+    """The centroid of the brightest blob on the ball and of its flanks.
+
+    A blob is what exceeds half of the peak; the weights are what exceeds a twentieth of it, within
+    two pixels.
 
     A lamp is brighter than white by far, so its image is clipped; clipped on all sides alike, its
     centroid stays where it is.
@@ -77,7 +81,11 @@ def find_highlight(
             f"{name}: two highlights on the ball; one lamp a photograph was wanted (cover windows "
             "and shiny things)"
         )
-    chosen = np.where(labels == best, excess, 0.0)
+    # a small lamp's image is as wide as the lens is sharp: its flanks, below half of the peak, tell
+    # where between the pixels it lies
+    near = cv2.dilate((labels == best).astype(np.uint8), np.ones((2 * _FLANK_PX + 1,) * 2)) > 0
+    foot = ground + _FOOT * (peak - ground)
+    chosen = np.where(near, np.clip(on_ball - foot, 0, None), 0.0)
     y, x = np.mgrid[: grey.shape[0], : grey.shape[1]]
     total = chosen.sum()
     return Highlight(

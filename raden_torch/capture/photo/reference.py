@@ -19,6 +19,7 @@ RIM = 0.95
 _EXPONENTS = (0.4, 2.6)
 _GRAZING = 0.3
 _FEWEST = 100
+_MOST_ROUNDS, _STILL = 200, 1e-5
 _SAMPLE = 2500
 """Pixels that the response is fitted on; more change its second decimal at most."""
 
@@ -66,8 +67,9 @@ def relative_intensities(
 ) -> Tensor:
     """`[K]` relative intensities of mean 1 from a matt reference under the same lamps.
 
-    The median over the pixels of I_k / (N·L_k), each pixel relative to its mean over the lamps, so
-    that stains on the reference do not matter.
+    Log I_k − log N·L_k is a sum of the lamp's brightness and the pixel's albedo; both are found by
+    medians in turn (Tukey's median polish), over the pixels that each lamp lights well. So stains do
+    not matter, nor that no pixel is lit by lamps on opposite sides, if lamps between them link them.
 
     Args:
         images: `[K, C, H, W]` linear light.
@@ -77,27 +79,42 @@ def relative_intensities(
         saturated: `[K, 1, H, W]` bool.
 
     Raises:
-        InputError: fewer than 100 pixels that every lamp lights well.
+        InputError: a lamp that lights fewer than 100 pixels well, or none that other lamps light.
     """
     where = lights[:, :, None, None] if lights.ndim == 2 else lights
     length = where.norm(dim=1, keepdim=True)
     facing = (where * normal).sum(dim=1, keepdim=True)
-    good = inside & (facing / length > _GRAZING).all(dim=0, keepdim=True)
+    good = inside & (facing / length > _GRAZING)
     if saturated is not None:
-        good = good & ~saturated.any(dim=0, keepdim=True)
-    if int(good.sum()) < _FEWEST:
-        raise InputError(
-            f"reference: {int(good.sum())} of its pixels are lit well by every lamp and not "
-            f"saturated; at least {_FEWEST} were wanted"
-        )
+        good = good & ~saturated
     grey = images.clamp(min=0).mean(dim=1, keepdim=True) ** exponent
-    ratio = torch.where(good, grey / facing.clamp(min=_GRAZING / 2), torch.nan).flatten(1)
-    ratio = ratio / ratio.mean(dim=0)
-    found = ratio.nanmedian(dim=1).values
+    good, ratio = good.expand_as(grey).flatten(1), (grey / facing.clamp(min=1e-6)).flatten(1)
+    good, ratio = (m[:, good.sum(dim=0) > 1] for m in (good, ratio))  # one lamp alone says nothing
+    fewest = int(good.sum(dim=1).min())
+    if fewest < _FEWEST:
+        dark = int(good.sum(dim=1).argmin())
+        raise InputError(
+            f"reference: {fewest} of its pixels are lit well by lamp {dark + 1} and by another, and "
+            f"not saturated; at least {_FEWEST} were wanted"
+        )
+    found = torch.where(good, ratio, torch.nan).nanmedian(dim=1).values
     if not bool((found > 0).all()):
         dark = int(found.nan_to_num().argmin())
         raise InputError(f"reference: photograph {dark + 1} is black; was the lamp on?")
-    return found / found.mean()
+    lamp = _median_polish(torch.where(good & (ratio > 0), ratio.log(), torch.nan)).exp()
+    return lamp / lamp.mean()
+
+
+def _median_polish(table: Tensor) -> Tensor:
+    """`[K]` effects of the rows of `[K, P]`, where NaN is nothing known."""
+    row = table.nanmedian(dim=1).values
+    for _ in range(_MOST_ROUNDS):
+        column = (table - row[:, None]).nanmedian(dim=0).values
+        change = (table - row[:, None] - column).nanmedian(dim=1).values
+        row = row + change
+        if float(change.abs().max()) < _STILL:
+            break
+    return row
 
 
 def fit_response(

@@ -6,7 +6,7 @@ R = R_w (S − D) / (W − D) · cos θi(w) / cos θi of docs/measuring.md:
 
 | term | type | formula | shared with |
 |---|---|---|---|
-| repeatability | A | s / √n of a cell's n readings; of one, s of the references | nothing |
+| repeatability | A | s / √n, s pooled from a cell's n readings and the references | nothing |
 | white | A, B | R s_W √Σ share²/n; R tan a_w u(move) √Σ share² | cells near in time |
 | dark | A | R_w |1 − ratio| s_D √Σ share²/n | cells near in time |
 | drift | A | R · change between two white series / √12 | cells near in time |
@@ -23,12 +23,15 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raden_torch.capture.spectrometer.journal import Header
 from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.common_errors import CommonErrors, Triple, zero_sensitivity
 from raden_torch.measurement.slopes import slopes_per_deg
+
+_POOLED = 4.0
 
 
 @dataclass(frozen=True)
@@ -99,6 +102,27 @@ def geometry_terms(measurement: BrdfMeasurement, header: Header) -> GeometryTerm
         _in_quadrature(moved, header.stated.position_std_deg),
         _in_quadrature(zeroed, header.stated.zero_std_deg),
     )
+
+
+def repeatability(own_std: Floats, single_std: Floats, count: NDArray[np.int64]) -> Floats:
+    """`[M, 3]` of the mean of each cell's readings.
+
+    Two or three repeats hardly know their own scatter, and two that are alike by chance would have
+    all the weight. Theirs is pooled (JCGM 100:2008, H.3.6) with what single readings scatter by,
+    counted as `_POOLED` degrees of freedom: the references' scatter, larger where the repeats of
+    the whole scan are.
+
+    Args:
+        own_std: `[M, 3]` of single readings, by the cell's repeats; NaN where it has one.
+        single_std: `[M, 3]` by the references.
+        count: `[M, 1]` readings, 1 or more.
+    """
+    freedom = np.where(count > 1, count - 1.0, 0.0)
+    squares = np.where(count > 1, freedom * np.nan_to_num(own_std) ** 2, 0.0)
+    expected = (freedom * np.nan_to_num(single_std) ** 2).sum(axis=0)
+    larger = np.maximum(squares.sum(axis=0) / np.where(expected > 0, expected, np.inf), 1.0)
+    pooled = (_POOLED * larger * single_std**2 + squares) / (_POOLED + freedom)
+    return np.asarray(np.sqrt(pooled / count))
 
 
 def white_move_std(header: Header) -> float:

@@ -27,9 +27,10 @@ from raden_torch.capture.spectrometer.budget import (
     Budget,
     common_errors,
     geometry_terms,
+    repeatability,
     white_move_std,
 )
-from raden_torch.capture.spectrometer.journal import Contents, Reference
+from raden_torch.capture.spectrometer.journal import Contents, Header, Reference
 from raden_torch.capture.spectrometer.plan import FixedPlan, Taken
 from raden_torch.capture.spectrometer.ports import ColorReading, Floats, Position, Range, Target
 from raden_torch.capture.spectrometer.stated import StatedUncertainty
@@ -93,23 +94,13 @@ def reduce_readings(contents: Contents) -> Reduced:
         raise InputError("journal: none of its readings is in range; nothing can be reduced")
     index = np.array([t.step.cell for t in in_range])
     signal, times = lamp.signals([t.reading for t in in_range]), _times(in_range)
-    white_noise = np.hypot(
-        np.hypot(*lamp.white_share(times)) * lamp.white_single_std,
-        np.hypot(*lamp.white_weight(times)) * white_move_std(header),
-    )
     if plan.white_at_each:
         own = _whites_by_cell(contents.taken, header.white.at_cells, lamp, len(cells))
-        white, xyz = own.white[index], own.xyz[index]
-        drift = np.zeros((len(index), 3))
-        white_noise = np.broadcast_to(lamp.white_single_std, drift.shape)
-        lit = np.ones(len(index))
+        by = own.divisor(index, lamp)
     else:
-        white, xyz = lamp.white(times), np.array(header.white.xyz)
-        lit = _cos_incidence(header.white.position) / _cosines(cells)[index]
-        drift = lamp.drift(times)
+        by = _divisor(header, lamp, times, cells[index])
     signal = signal - lamp.dark(times)
-    ratio = lamp.ratio(signal, white)
-    factor = xyz * lit[:, None]
+    ratio, factor = lamp.ratio(signal, by.white), by.factor
 
     count = np.bincount(index, minlength=len(cells))
     mean = lambda rows: _mean(index, rows, len(cells))  # noqa: E731
@@ -126,11 +117,11 @@ def reduce_readings(contents: Contents) -> Reduced:
     # dark is in the white, too: d ratio / d D = (ratio − 1) / W
     dark_noise = factor * abs(1 - ratio) * np.hypot(*lamp.dark_share(times)) * lamp.dark_single_std
     budget = _ReadingTerms(
-        repeatability=np.where(n > 1, own_std, mean(single)) / np.sqrt(n),
-        white=abs(mean(factor * ratio * white_noise)),
+        repeatability=repeatability(own_std, mean(single), n),
+        white=abs(mean(factor * ratio * by.white_std)),
         dark=mean(dark_noise),
-        drift=abs(mean(factor * ratio * drift)),
-        colour=abs(mean(factor * lamp.colour_error(signal, white, header.stated))),
+        drift=abs(mean(factor * ratio * by.drift_std)),
+        colour=abs(mean(factor * lamp.colour_error(signal, by.white, header.stated))),
     )
     with np.errstate(invalid="ignore", divide="ignore"):
         repeats = (own_std / abs(values))[count > 1]
@@ -190,8 +181,7 @@ class _Lamp:
         """`[N, 3]`: signal over white, wavelength by wavelength, weighed to X, Y, Z; white is 1."""
         if self.wavelengths_nm is None:
             return signal / white
-        strong = white > _WEAK_BAND * white.max(axis=-1, keepdims=True)
-        ratio = np.where(strong, signal / np.where(strong, white, 1.0), 0.0)
+        ratio, strong = _by_band(signal, white)
         return (ratio @ self._weights.T) / (strong @ self._weights.T)
 
     def colour_error(self, signal: Floats, white: Floats, stated: StatedUncertainty) -> Floats:
@@ -203,8 +193,7 @@ class _Lamp:
             return stated.xyz_std * signal / white
         if not stated.wavelength_std_nm or len(self.wavelengths_nm) < 2:
             return np.zeros((len(signal), 3))
-        strong = white > _WEAK_BAND * white.max(axis=-1, keepdims=True)
-        ratio = np.where(strong, signal / np.where(strong, white, 1.0), 0.0)
+        ratio, strong = _by_band(signal, white)
         change = np.where(strong, np.gradient(ratio, self.wavelengths_nm, axis=1), 0.0)
         per_nm = (change @ self._weights.T) / (strong @ self._weights.T)
         return np.asarray(stated.wavelength_std_nm * per_nm)
@@ -259,9 +248,40 @@ class _ReadingTerms:
 
 
 @dataclass(frozen=True)
+class _Divisor:
+    """What N readings are divided by: reflectance factor = factor · ratio to `white`.
+
+    Attributes:
+        white: `[N, C]` signal of the white, darkness subtracted.
+        factor: `[N, 3]` R_w, times the cosines where the white was read in another geometry.
+        white_std, drift_std: `[N, 3]` relative, of the white's noise and of the lamp's drift.
+    """
+
+    white: Floats
+    factor: Floats
+    white_std: Floats
+    drift_std: Floats
+
+
+def _divisor(header: Header, lamp: _Lamp, times: Floats, cells: Floats) -> _Divisor:
+    """The white's series around the readings; `cells` `[N, 3]` are the readings' own."""
+    lit = _cos_incidence(header.white.position) / _cosines(cells)
+    noise = np.hypot(*lamp.white_share(times)) * lamp.white_single_std
+    moves = np.hypot(*lamp.white_weight(times)) * white_move_std(header)
+    factor = np.array(header.white.xyz) * lit[:, None]
+    return _Divisor(lamp.white(times), factor, np.hypot(noise, moves), lamp.drift(times))
+
+
+@dataclass(frozen=True)
 class _OwnWhites:
     white: Floats  # [cells, C] darkness subtracted; NaN where not in range
     xyz: Floats  # [cells, 3]
+
+    def divisor(self, index: NDArray[np.int64], lamp: _Lamp) -> _Divisor:
+        """The white beside each reading: one reading of it, without drift."""
+        xyz = self.xyz[index]
+        noise = np.broadcast_to(lamp.white_single_std, xyz.shape)
+        return _Divisor(self.white[index], xyz, noise, np.zeros(xyz.shape))
 
 
 def _whites_by_cell(
@@ -401,6 +421,12 @@ def _interpolated(time_s: Floats, at_s: Floats, levels: Floats) -> Floats:
     """`[N, C]`: linear between series, constant before the first and after the last."""
     before, after, x = _around(time_s, at_s)
     return np.asarray(levels[before] + x[:, None] * (levels[after] - levels[before]))
+
+
+def _by_band(signal: Floats, white: Floats) -> tuple[Floats, Bools]:
+    """`[N, C]` signal over white, and where the white is strong enough; 0 where not."""
+    strong = white > _WEAK_BAND * white.max(axis=-1, keepdims=True)
+    return np.where(strong, signal / np.where(strong, white, 1.0), 0.0), strong
 
 
 def _share(time_s: Floats, at_s: Floats, counts: NDArray[np.int64]) -> Floats:

@@ -1,0 +1,263 @@
+"""Samples of a cell → the value at its node: a quadratic in the place within the cell, robustly.
+
+The mean of a cell's samples is the value at their mean angles, and averages over the cell, which
+lowers a ridge: for a Gaussian lobe of 5° deviation by 4 %. So a quadratic
+y = b0 + b·(Δa, Δr, Δt) + … is fitted, with weights that fall with the distance from the node, and
+b0 is the value of the node. Photographs cut a cell in sheets, which leave some slopes unknown: each
+coefficient has a Gaussian prior around 0, as wide as the differences to the neighbouring cells, and
+the posterior variance of b0 holds what that costs.
+
+Robust: Tukey's bisquare from the median and the median absolute deviation (an M-estimate; places
+in a cell are bounded, so that there are no leverage points), on at most a hundred samples chosen at
+random from each cell; then every sample within `REJECT` scales of that fit counts alike.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.brdf.cells import TERMS, CellGrid, Floats, Ints, basis
+from raden_torch.capture.photo.brdf.reservoir import Reservoir, rank_in_group
+
+Floats32 = NDArray[np.float32]
+
+REJECT = 4.0
+"""Scales (of a Gaussian) from the robust fit at which a sample is left out."""
+NEAR = 0.3
+"""Deviation of the weight's Gaussian around the node, in steps."""
+FEWEST = 6
+"""Samples without which a cell has no value."""
+
+_BISQUARE = 6.0
+_ROUNDS = 8
+_SLOPE, _BEND = 1.5, 1.0
+"""Deviations of the priors, over the largest difference to a neighbouring cell."""
+_LEAST = 0.05
+"""Of that difference, relative to the cell's own level."""
+_GRAIN = 1e-4
+_CLOSEST = 15
+"""Samples nearest to the node, whose median is the robust fit's start."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobustFit:
+    """The first fit of each cell.
+
+    Attributes:
+        cell: `[T]` the cells that have samples enough.
+        index: `[cells]` their row here, or −1.
+        coefficients: `[T, 10, 3]`.
+        scale: `[T, 3]` robust standard deviation of single samples around the fit.
+        prior: `[T, 10]` deviation of each coefficient.
+        rejected: share of the chosen samples that lie beyond `REJECT` scales.
+    """
+
+    cell: Ints
+    index: Ints
+    coefficients: Floats32
+    scale: Floats
+    prior: Floats
+    rejected: float
+
+
+@dataclass(frozen=True, eq=False)
+class NodeValues:
+    """The result, a row a cell of the grid; NaN in cells without samples enough.
+
+    Attributes:
+        value: `[cells, 3]` at the node.
+        noise: `[cells, 3]` its standard deviation by the scatter of the samples.
+        place: `[cells, 3]` the same by what is not known of the slopes within the cell.
+        slope: `[cells, 3, 3]` change a degree of incidence, receiving and tilt, of each channel.
+        count: `[cells]` samples that took part.
+    """
+
+    value: Floats
+    noise: Floats
+    place: Floats
+    slope: Floats
+    count: NDArray[np.int64]
+
+
+def robust_fit(kept: Reservoir, grid: CellGrid) -> RobustFit:
+    """Fit each cell of a reservoir."""
+    rank = rank_in_group(kept.cell)
+    counts = np.bincount(kept.cell, minlength=grid.cells)
+    cells = np.flatnonzero(counts >= FEWEST)
+    index = np.full(grid.cells, -1, np.intp)
+    index[cells] = np.arange(len(cells))
+    row = index[kept.cell]
+    used = row >= 0
+    at = row[used], rank[used]
+    depth = int(counts.max(initial=0))
+    y = np.full((len(cells), depth, 3), np.nan, np.float32)
+    x = np.zeros((len(cells), depth, 3), np.float32)
+    y[at], x[at] = kept.y[used], kept.x[used]
+    if not len(cells):
+        empty = np.zeros((0, TERMS, 3), np.float32)
+        return RobustFit(cells, index, empty, np.zeros((0, 3)), np.zeros((0, TERMS)), 0.0)
+    terms = basis(x.reshape(-1, 3)).reshape(len(cells), depth, TERMS)
+    prior = _prior(cells, np.nanmedian(y, axis=1).mean(axis=1), grid)
+    near = _nearness(x) * np.isfinite(y[..., 0])
+    coefficients, scale, distance = _bisquare(terms, np.nan_to_num(y), near, prior)
+    beyond = float((distance[near > 0] > REJECT).mean())
+    return RobustFit(cells, index, coefficients.astype(np.float32), scale, prior, beyond)
+
+
+class CellSums:
+    """Sums over all samples that agree with the first fit: what the last one needs."""
+
+    def __init__(self, fit: RobustFit) -> None:
+        rows = len(fit.cell)
+        self.fit = fit
+        self.seen = np.zeros(rows, np.int64)
+        self.count = np.zeros(rows, np.int64)
+        self._pairs = np.triu_indices(TERMS)
+        self._sums = np.zeros((rows, len(self._pairs[0]) + 3 * TERMS + 6))
+
+    def add(self, cell: Ints, x: Floats32, y: Floats32) -> None:
+        """Add samples: cells `[n]`, places `[n, 3]`, values `[n, 3]`."""
+        from scipy import sparse
+
+        row = self.fit.index[cell]
+        known = row >= 0
+        row, x, y = row[known], x[known], y[known]
+        self.seen += np.bincount(row, minlength=len(self.seen))
+        terms = basis(x)
+        off = y - np.einsum("nk,nkc->nc", terms, self.fit.coefficients[row])
+        good = (abs(off) <= REJECT * self.fit.scale[row]).all(axis=1)
+        row, terms, off = row[good], terms[good], off[good]
+        self.count += np.bincount(row, minlength=len(self.count))
+        w = _nearness(x[good])[:, None]
+        weighted = w * terms
+        columns = np.concatenate(
+            [
+                weighted[:, self._pairs[0]] * terms[:, self._pairs[1]],
+                *(weighted * off[:, c : c + 1] for c in range(3)),
+                w * off**2,
+                w,
+                w**2,
+                np.ones_like(w),
+            ],
+            axis=1,
+        )
+        choose = sparse.csr_matrix(
+            (np.ones(len(row), np.float32), (row, np.arange(len(row)))),
+            (len(self.count), len(row)),
+        )
+        self._sums += choose @ columns
+
+    def nodes(self, grid: CellGrid) -> NodeValues:
+        """The value at every node, and how well it is known."""
+        pairs = len(self._pairs[0])
+        rows = len(self.count)
+        square = np.zeros((rows, TERMS, TERMS))
+        square[:, self._pairs[0], self._pairs[1]] = self._sums[:, :pairs]
+        square[:, self._pairs[1], self._pairs[0]] = self._sums[:, :pairs]
+        right: Floats = self._sums[:, pairs : pairs + 3 * TERMS].reshape(rows, 3, TERMS)
+        squares, w = self._sums[:, -6:-3], self._sums[:, -3:-2]
+        fewer = self._sums[:, -2:-1] / np.maximum(w, 1e-12)
+        good = (self.count >= FEWEST) & (w[:, 0] > 1e-6)
+        # the sums are of differences from the first fit; the prior is around 0 all the same
+        first = self.fit.coefficients.astype(np.float64)
+        spread = np.sqrt(squares / np.maximum(w, 1e-12)).mean(axis=1)
+        spread = np.maximum(spread, _GRAIN * abs(first[:, 0]).mean(axis=1))
+        precision = _precision(spread, self.fit.prior)
+        whole = square + precision
+        moved = np.linalg.solve(whole, right.transpose(0, 2, 1) - precision @ first)
+        coefficients = first + moved
+        inverse = np.linalg.inv(whole)[:, 0]
+        left = (squares - np.einsum("nkc,nck->nc", moved, right)).clip(min=0)
+        own = np.sqrt(left / np.maximum(w * (1 - fewer / np.maximum(w, 1e-12)), 1e-12))
+        from_noise = np.einsum("nk,nkl,nl->n", inverse, square, inverse) * fewer[:, 0]
+        from_place = np.einsum("nk,nkl,nl->n", inverse, precision, inverse)
+
+        def spread_out(column: Floats) -> Floats:
+            out = np.full((grid.cells, *column.shape[1:]), np.nan)
+            out[self.fit.cell[good]] = column[good]
+            return out
+
+        count = np.zeros(grid.cells, np.int64)
+        count[self.fit.cell[good]] = self.count[good]
+        return NodeValues(
+            value=spread_out(coefficients[:, 0]),
+            noise=spread_out(own * np.sqrt(from_noise.clip(min=0))[:, None]),
+            place=spread_out(np.repeat((spread * np.sqrt(from_place))[:, None], 3, axis=1)),
+            slope=spread_out(coefficients[:, 1:4].transpose(0, 2, 1) / grid.step_deg),
+            count=count,
+        )
+
+
+def _nearness(x: Floats32) -> Floats32:
+    """A sample's weight by its place `[…, 3]`."""
+    return np.exp((x**2).sum(axis=-1) * np.float32(-0.5 / NEAR**2))
+
+
+def _shrunk() -> Floats:
+    """1 for the coefficients that have a prior, 0 for b0."""
+    return np.r_[0.0, np.ones(TERMS - 1)]
+
+
+def _precision(spread: Floats, prior: Floats) -> Floats:
+    """`[T, 10, 10]` of the prior, in units of 1 / spread²."""
+    diagonal = (spread[:, None] / prior) ** 2 * _shrunk()
+    return diagonal[:, :, None] * np.eye(TERMS)
+
+
+def _prior(cells: Ints, level: Floats, grid: CellGrid) -> Floats:
+    """`[T, 10]` from the differences between the cells' medians `[T]`."""
+    flat = np.full(grid.cells, np.nan)
+    flat[cells] = level
+    table = flat.reshape(grid.shape)
+    change = np.zeros(grid.shape)
+    for axis in range(3):
+        step = abs(np.diff(table, axis=axis))
+        for part in (slice(1, None), slice(None, -1)):
+            where = tuple(part if k == axis else slice(None) for k in range(3))
+            change[where] = np.fmax(change[where], np.nan_to_num(step))
+    own = np.maximum(change.ravel()[cells], _LEAST * abs(level))
+    own = np.maximum(own, 1e-9 + 1e-6 * float(np.abs(level).max()))
+    return own[:, None] * np.r_[1.0, [_SLOPE] * 3, [_BEND] * 6]
+
+
+def _bisquare(
+    terms: Floats32, y: Floats32, near: Floats32, prior: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Coefficients `[T, 10, 3]`, scales `[T, 3]`, each sample's distance in scales `[T, S]`."""
+    there = near > 0
+    few = min(_CLOSEST, near.shape[1]) - 1
+    least = -np.partition(-near, few, axis=1)[:, few, None]
+    middle = _median(y, there & (near >= least))
+    scale = np.maximum(1.4826 * _median(np.abs(y - middle[:, None]), there), _floor(middle))
+    coefficients = np.zeros((len(y), TERMS, 3))
+    coefficients[:, 0] = middle
+    off: NDArray[np.floating[Any]] = y - middle[:, None]
+    for _ in range(_ROUNDS):
+        distance = (np.abs(off) / scale[:, None]).max(axis=2)
+        weight = near * np.clip(1 - (distance / _BISQUARE) ** 2, 0, None) ** 2
+        square = np.einsum("ns,nsk,nsl->nkl", weight, terms, terms, optimize=True)
+        right = np.einsum("ns,nsk,nsc->nkc", weight, terms, y, optimize=True)
+        tie = 1e-9 * np.eye(TERMS)
+        whole = square + _precision(scale.mean(axis=1), prior) + tie
+        coefficients = np.linalg.solve(whole, right)
+        off = y - terms @ coefficients.astype(np.float32)
+        scale = np.maximum(1.4826 * _median(np.abs(off), there), _floor(coefficients[:, 0]))
+    return coefficients, scale, (np.abs(off) / scale[:, None]).max(axis=2)
+
+
+def _floor(level: Floats) -> Floats:
+    return np.maximum(_GRAIN * abs(level), 1e-12)
+
+
+def _median(values: NDArray[np.floating[Any]], there: NDArray[np.bool_]) -> Floats:
+    """`[T, 3]` medians of `[T, S, 3]` over the samples that are there."""
+    ordered = np.sort(np.where(there[..., None], values, np.inf), axis=1)
+    count = there.sum(axis=1)
+    low, high = (np.maximum(count - 1, 0) // 2, np.maximum(count, 1) // 2)
+    row = np.arange(len(values))
+    high = np.minimum(high, np.maximum(count - 1, 0))
+    return np.asarray((ordered[row, low] + ordered[row, high]) / 2, np.float64)

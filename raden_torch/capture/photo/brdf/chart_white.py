@@ -1,0 +1,83 @@
+"""The white's place in a chart and its reflectance factor, as a person gives them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from raden_torch.capture.photo.brdf.rays import Floats
+from raden_torch.capture.photo.brdf.white import D65_XYZ, WhiteFactor
+from raden_torch.capture.photo.chart import PATCH_NAMES, reference_xyz
+from raden_torch.capture.photo.result_file import numbers, read_result
+from raden_torch.errors import InputError
+
+_WHITE = PATCH_NAMES.index("white 9.5")
+_MEASURED = 0.6
+"""Share of the patch that is taken."""
+_MOST = 300.0
+
+
+def chart_white(
+    colour: Path | None, factor: str | None, file: Path | None, std_percent: float, name: str = ""
+) -> tuple[Floats | None, WhiteFactor]:
+    """The corners of a chart's white patch `[4, 2]` in pixels, and how much the white reflects.
+
+    Args:
+        colour: a colour file whose photograph had the chart where these have it; None: the white
+            is elsewhere.
+        factor: "98.5", or "X,Y,Z"; None: the file's, or the chart's own.
+        std_percent: standard uncertainty of the factor.
+        name: of the reference, as its certificate has it.
+
+    Raises:
+        InputError: no factor, two, or one that no white has.
+    """
+    if not 0 <= std_percent < 100:
+        raise InputError(f"white: standard uncertainty {std_percent} %; 0…100 was wanted")
+    relative = std_percent / 100
+    if factor is not None and file is not None:
+        raise InputError("white: a factor and a file; one of them was wanted")
+    corners, edition = (None, None) if colour is None else _patch(colour)
+    if file is not None:
+        if not file.is_file():
+            raise InputError(f"{file}: no such file; a measurement of the white was wanted")
+        return corners, WhiteFactor(D65_XYZ, file, relative, name)
+    if factor is not None:
+        return corners, WhiteFactor(_xyz(factor), None, relative, name)
+    if edition is None:
+        raise InputError(
+            "white: its reflectance factor was wanted: --white-factor (the perfect diffuser is "
+            "100), or --white-file, a measurement of it"
+        )
+    return corners, WhiteFactor(100 * reference_xyz(edition)[_WHITE], None, relative, name)
+
+
+def _patch(path: str | os.PathLike[str]) -> tuple[Floats, str]:
+    import cv2
+
+    found = read_result(path, "colour", ("chart", "chart_corners_px"))
+    corners = numbers(path, found, "chart_corners_px", (4, 2)).astype(np.float32)
+    chart = np.array([[0, 0], [6, 0], [6, 4], [0, 4]], np.float32)
+    row, column = divmod(_WHITE, 6)
+    half = _MEASURED / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    square = np.array([column + 0.5, row + 0.5]) + half
+    mapped = np.c_[square, np.ones(4)] @ cv2.getPerspectiveTransform(chart, corners).T
+    edition = str(found["chart"]).rpartition("edition ")[2]
+    return mapped[:, :2] / mapped[:, 2:], edition
+
+
+def _xyz(text: str) -> Floats:
+    try:
+        given = np.array([float(part) for part in text.split(",")])
+    except ValueError:
+        given = np.zeros(0)
+    if len(given) == 1:
+        given = given * D65_XYZ / 100
+    if len(given) != 3 or not ((given > 0) & (given <= _MOST)).all():
+        raise InputError(
+            f"white: reflectance factor {text}; one number or X,Y,Z, above 0, with the perfect "
+            "diffuser 100, was wanted"
+        )
+    return given

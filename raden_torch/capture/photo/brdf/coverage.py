@@ -1,0 +1,228 @@
+"""How much of the grid the photographs cover, and where lamp and camera should stand next.
+
+A candidate is a lamp's direction and, for a sample on the board, a camera's. Points all over the
+sample say which cells it would fill; the one that fills most new cells is taken, then the next
+(greedy: at least 63 % of what the best set of as many could fill, Nemhauser et al. 1978).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.brdf.angles import angles_deg
+from raden_torch.capture.photo.brdf.cell_fit import FEWEST
+from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
+from raden_torch.capture.photo.brdf.rays import Y_UP
+from raden_torch.capture.photo.brdf.samples import LEAST_COSINE
+from raden_torch.capture.photo.brdf.shapes import Shape, fibonacci_sphere
+from raden_torch.capture.photo.camera import Camera, Pose
+
+Bools = NDArray[np.bool_]
+
+_LAMPS, _CAMERAS = 500, 60
+"""Directions over the whole sphere that are tried: about 9 and 26 degrees apart."""
+_BESIDE_DEG, _BEHIND_DEG = 8.0, 150.0
+"""A lamp nearer to the camera's axis stands behind or before the camera; one further away shines
+into it."""
+_LEAN_DEG = 75.0
+"""Of a camera from the board's normal, at most."""
+_POINTS, _DENSE = 4000, 40_000
+_BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """A lamp and a camera that would help.
+
+    Attributes:
+        lamp: `[3]` direction to the lamp from the sample, in the frame of the first photograph's
+            camera.
+        camera: `[3]` direction to the camera; None: where it is.
+        gain: cells that it would fill beside those filled before.
+        text: the directions in degrees that a person can set up.
+    """
+
+    lamp: Floats
+    camera: Floats | None
+    gain: int
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Coverage:
+    """What is covered.
+
+    Attributes:
+        covered: `[cells]`.
+        reachable: `[cells]` that some lamp (and, for a sample on the board, some camera) reaches.
+        next: where to put them, the most useful first.
+        after: `[cells]` covered when all of these were followed, as predicted.
+    """
+
+    covered: Bools
+    reachable: Bools
+    next: tuple[Stance, ...]
+    after: Bools
+
+    @property
+    def share(self) -> float:
+        return float(self.covered.mean())
+
+    @property
+    def share_of_reachable(self) -> float:
+        return float(self.covered.sum() / max(int(self.reachable.sum()), 1))
+
+    def __str__(self) -> str:
+        lines = [
+            f"covered: {self.covered.sum()} of {self.covered.size} cells "
+            f"({100 * self.share:.1f} %), {100 * self.share_of_reachable:.1f} % of those that this "
+            "sample can show"
+        ]
+        lines += [f"next: {stance.text}: {stance.gain} more cells" for stance in self.next]
+        return "\n".join(lines)
+
+
+def coverage(
+    covered: Bools,
+    grid: CellGrid,
+    shape: Shape,
+    camera: Camera | None,
+    pose: Pose | None,
+    lamp_distance: float | None,
+    *,
+    stances: int = 4,
+) -> Coverage:
+    """Which cells are covered, and the stances that would cover most.
+
+    Args:
+        shape: of the sample, in the first photograph.
+        pose: of the board there; with it, other places of the camera are tried, too.
+        lamp_distance: from the sample, for near lamps; None: far away.
+        stances: how many to suggest.
+    """
+    scene = _Scene(grid, shape, camera, pose, lamp_distance)
+    tried = scene.candidates()
+    filled = [scene.cells(lamp, eye, _POINTS) for lamp, eye in tried]
+    packed = np.array([np.packbits(cells) for cells in filled])
+    reachable = np.unpackbits(np.bitwise_or.reduce(packed), count=grid.cells).astype(bool)
+    now, chosen = covered.copy(), []
+    for _ in range(stances):
+        gains = _BITS[packed & ~np.packbits(now)].sum(axis=1)
+        best = int(gains.argmax())
+        if gains[best] == 0:
+            break
+        lamp, eye = tried[best]
+        fills = scene.cells(lamp, eye, _DENSE)
+        gain = int((fills & ~now).sum())
+        chosen.append(Stance(lamp, eye, gain, scene.described(lamp, eye)))
+        now |= fills
+        packed[best] = 0
+    return Coverage(covered, reachable | covered, tuple(chosen), now)
+
+
+@dataclass(eq=False)
+class _Scene:
+    grid: CellGrid
+    shape: Shape
+    camera: Camera | None
+    pose: Pose | None
+    lamp_distance: float | None
+
+    def candidates(self) -> list[tuple[Floats, Floats | None]]:
+        eyes: list[Floats | None] = [None]
+        if self.pose is not None:
+            away = fibonacci_sphere(_CAMERAS)
+            up = self._from_board(np.array([0.0, 0.0, -1.0]))
+            eyes += [eye for eye in away if eye @ up > np.cos(np.radians(_LEAN_DEG))]
+        found = []
+        for eye in eyes:
+            towards = self._to_eye() if eye is None else eye
+            for lamp in fibonacci_sphere(_LAMPS if len(eyes) == 1 else _LAMPS // 2):
+                apart = _apart_deg(lamp, towards)
+                if _BESIDE_DEG < apart < _BEHIND_DEG:
+                    found.append((lamp, eye))
+        return found
+
+    def cells(self, lamp: Floats, eye: Floats | None, count: int) -> Bools:
+        """`[cells]` that would hold samples enough."""
+        point, normal, area = self._surface(count)
+        view, scale = self._view(point, eye)
+        light = np.broadcast_to(lamp, point.shape)
+        if self.lamp_distance is not None:
+            light = self.shape.middle + self.lamp_distance * lamp - point
+            light = light / np.linalg.norm(light, axis=1, keepdims=True)
+        facing = (normal * view).sum(1)
+        good = (facing > LEAST_COSINE) & ((normal * light).sum(1) > LEAST_COSINE)
+        if not good.any():
+            return np.zeros(self.grid.cells, bool)
+        pixels = (area * facing * scale)[good]
+        angles = angles_deg(normal[good], light[good], view[good])
+        rows, cell, _ = self.grid.sort(angles)
+        return np.bincount(cell, pixels[rows], self.grid.cells) >= FEWEST
+
+    def described(self, lamp: Floats, eye: Floats | None) -> str:
+        if self.pose is None:
+            return f"the lamp {_direction(lamp)} of the camera's axis (0 right, 90 up)"
+        flip = np.array([1.0, -1.0, -1.0])  # board: y down its columns, z into it
+        on_board = [
+            self._to_board(v) * flip for v in (lamp, self._to_eye() if eye is None else eye)
+        ]
+        where = [_direction(v) for v in on_board]
+        stays = "where it was in the first photograph, " if eye is None else ""
+        return (
+            f"the lamp {where[0]} and the camera {stays}{where[1]} of the board's normal "
+            "(0 along its rows, 90 up its columns)"
+        )
+
+    def _surface(self, count: int) -> tuple[Floats, Floats, Floats]:
+        known: dict[int, tuple[Floats, Floats, Floats]] = self.__dict__.setdefault("_known", {})
+        if count not in known:
+            surface, area = self.shape.spread(count)
+            known[count] = surface.point, surface.normal, area
+        return known[count]
+
+    def _view(self, point: Floats, eye: Floats | None) -> tuple[Floats, Floats]:
+        """Unit directions to the viewer, and pixels a unit of area that faces it."""
+        if self.camera is None:
+            towards = np.array([0.0, 0.0, 1.0]) if eye is None else eye
+            return np.broadcast_to(towards, point.shape), np.ones(len(point))
+        middle = self.shape.middle
+        at = np.zeros(3) if eye is None else middle + np.linalg.norm(middle) * eye
+        view = at - point
+        square = (view**2).sum(1)
+        focal = float(self.camera.matrix[0, 0] * self.camera.matrix[1, 1])
+        return view / np.sqrt(square)[:, None], focal / square
+
+    def _to_eye(self) -> Floats:
+        if self.camera is None:
+            return np.array([0.0, 0.0, 1.0])
+        return np.asarray(-self.shape.middle / np.linalg.norm(self.shape.middle))
+
+    def _to_board(self, vector: Floats) -> Floats:
+        assert self.pose is not None
+        return np.asarray(self.pose.rotation.T @ (vector * Y_UP))
+
+    def _from_board(self, vector: Floats) -> Floats:
+        assert self.pose is not None
+        return np.asarray((self.pose.rotation @ vector) * Y_UP)
+
+
+def _direction(v: Floats) -> str:
+    """As "40 deg towards 90 deg": off z, and which way in x and y."""
+    away = np.degrees(np.arctan2(np.hypot(v[0], v[1]), v[2]))
+    turn = np.degrees(np.arctan2(v[1], v[0]))
+    return f"{away:.0f} deg towards {turn:.0f} deg"
+
+
+def _apart_deg(a: Floats, b: Floats) -> float:
+    return float(np.degrees(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b))))
+
+
+def lamp_distance(position: Floats | None, middle: Floats) -> float | None:
+    """Of near lamps from the sample's middle, the median; None for far ones."""
+    if position is None:
+        return None
+    return float(np.median(np.linalg.norm(position - middle, axis=1)))

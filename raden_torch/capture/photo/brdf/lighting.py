@@ -1,0 +1,99 @@
+"""A lamp as the sample's points see it: which way, and how bright."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from raden_torch.capture.photo.brdf.rays import MM, Y_UP, Floats
+from raden_torch.capture.photo.brdf.series import Shot
+from raden_torch.capture.photo.camera import Camera, Pose
+from raden_torch.capture.photo.lamps import Lamps
+from raden_torch.errors import InputError
+
+LAMP_STD_DEG = 0.5
+"""Of a far lamp's direction from one chrome ball of some hundred pixels, unless stated."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """One lamp in the frame of one photograph's camera.
+
+    Attributes:
+        direction: `[3]` unit, to the lamp.
+        position: `[3]` of a near lamp, else None.
+        rgb: `[3]` relative irradiance at the sample's middle, as the lights file knows it.
+        std_deg: standard deviation of its direction, in each of two directions across it.
+    """
+
+    direction: Floats
+    position: Floats | None
+    rgb: Floats
+    std_deg: float
+
+    def at(self, points: Floats, middle: Floats) -> tuple[Floats, Floats]:
+        """Unit directions `[P, 3]` from points to the lamp, and the irradiance `[P]` on a plane
+        that faces it, relative to that at the sample's middle: (d_middle / d)²."""
+        if self.position is None:
+            return np.broadcast_to(self.direction, points.shape), np.ones(len(points))
+        to_lamp = self.position - points
+        square = (to_lamp**2).sum(1)
+        reference = float(((self.position - middle) ** 2).sum())
+        return to_lamp / np.sqrt(square)[:, None], reference / square
+
+
+def lamps_of_shots(
+    lamps: Lamps,
+    shots: Sequence[Shot],
+    camera: Camera | None,
+    lights: Path,
+    *,
+    seen_in: Pose | None = None,
+    std_deg: float | None = None,
+) -> list[Lamp]:
+    """Each shot's lamp, in the frame of its camera.
+
+    Args:
+        seen_in: the pose of the board in the photograph in whose frame the lights file is, where
+            the lamps stand still beside the board and the camera moves; None: they stand still
+            beside the camera.
+        std_deg: of the directions; None: from how far the rays to near lamps miss each other, at
+            least and for far lamps `LAMP_STD_DEG`.
+
+    Raises:
+        InputError: positions in another unit than the camera's, or a shot without a pose.
+    """
+    unit = "px" if camera is None else "mm"
+    if lamps.position is not None and lamps.unit != unit:
+        raise InputError(
+            f"{lights}: its lamps' positions are in {lamps.unit}; "
+            + ("give the camera file" if camera is None else "find them with --camera")
+        )
+    found = []
+    for shot in shots:
+        k = shot.lamp
+        rgb = lamps.intensity[k] * (np.ones(3) if lamps.tint is None else lamps.tint[k])
+        direction = lamps.direction[k]
+        position = None if lamps.position is None else lamps.position[k]
+        spread = LAMP_STD_DEG if std_deg is None else std_deg
+        if seen_in is not None:
+            if shot.pose is None:
+                raise InputError(
+                    f"{shot.files[0]}: the board's pose in it is not known; with lamps that stand "
+                    "beside the board each photograph needs one"
+                )
+            direction = _moved(direction, seen_in, shot.pose, point=False)
+            position = None if position is None else _moved(position, seen_in, shot.pose)
+        found.append(Lamp(direction, position, rgb, spread))
+    return found
+
+
+def _moved(vector: Floats, before: Pose, after: Pose, *, point: bool = True) -> Floats:
+    """From the camera's frame at one pose of the board to that at another, y up, mm."""
+    shift = MM * before.translation_m if point else np.zeros(3)
+    on_board = before.rotation.T @ (vector * Y_UP - shift)
+    back = MM * after.translation_m if point else np.zeros(3)
+    return np.asarray((after.rotation @ on_board + back) * Y_UP)

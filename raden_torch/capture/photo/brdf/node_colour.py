@@ -1,0 +1,127 @@
+"""Node values relative to the white, in camera RGB → reflectance factors, and their budget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from raden_torch.capture.photo.brdf.accumulate import Accumulated
+from raden_torch.capture.photo.brdf.budget import (
+    PhotoBudget,
+    of_geometry,
+    relative_colour,
+    relative_white,
+)
+from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
+from raden_torch.capture.photo.brdf.white import Scale
+from raden_torch.capture.photo.colour import ColourCorrection, read_colour
+from raden_torch.capture.photo.result_file import read_result
+from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from raden_torch.measurement.readings import RGB, XYZ
+
+_STEP = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class NodeColour:
+    """The map from what is relative to the white, channel by channel, to reflectance factors.
+
+    With a colour correction M, R = R_w · M(u w) / M(w), where w is the white's colour under the
+    mean lamp: differences between lamps are gone, and the white comes out as its own factor.
+    Without one, u is taken as linear RGB that the white is neutral in.
+
+    Attributes:
+        correction: None for camera RGB.
+        white_rgb: `[3]` the white under the mean lamp.
+        white: `[3]` its reflectance factor, in `channels`.
+        left_out_delta_e: mean ΔE2000 of the correction over left-out patches.
+        channels: X, Y, Z or R, G, B.
+    """
+
+    correction: ColourCorrection | None
+    white_rgb: Floats
+    white: Floats
+    left_out_delta_e: float
+    channels: tuple[str, ...]
+
+    @classmethod
+    def of(cls, path: Path | None, scale: Scale) -> NodeColour:
+        """From a colour file.
+
+        Raises:
+            InputError: not such a file.
+        """
+        if path is None:
+            rgb = scale.xyz @ xyz_to_rgb_matrix().T
+            return cls(None, scale.mean_rgb, rgb, 0.0, RGB)
+        correction = read_colour(path)
+        said = read_result(path, "colour", ()).get("left_out_delta_e_2000", {})
+        mean = said.get(correction.method, {}).get("mean", 0.0) if isinstance(said, dict) else 0.0
+        return cls(correction, scale.mean_rgb, scale.xyz, float(mean), XYZ)
+
+    def factors(self, relative: Floats) -> Floats:
+        """`[M, 3]` relative to the white → reflectance factors; NaN stays."""
+        if self.correction is None:
+            return np.asarray(relative * self.white)
+        rgb = np.nan_to_num(relative) * self.white_rgb
+        if self.correction.method != "least squares":
+            rgb = np.maximum(rgb, 0)  # roots
+        xyz = self.correction.to_xyz(rgb).astype(np.float64)
+        white = self.correction.to_xyz(self.white_rgb[None]).astype(np.float64)
+        return np.where(
+            np.isnan(relative).any(axis=1, keepdims=True), np.nan, self.white * xyz / white
+        )
+
+    def slopes(self, relative: Floats) -> Floats:
+        """`[M, 3, 3]`: the change of each factor with each channel."""
+        step = np.maximum(_STEP * abs(relative), 1e-6)
+        columns = [
+            (
+                self.factors(relative + step * np.eye(3)[c])
+                - self.factors(relative - step * np.eye(3)[c])
+            )
+            / (2 * step[:, c : c + 1])
+            for c in range(3)
+        ]
+        return np.stack(columns, axis=2)
+
+
+def budget_of(
+    found: Accumulated,
+    grid: CellGrid,
+    colour: NodeColour,
+    *,
+    lamp_std_deg: Floats,
+    normal_std_deg: float,
+    scale_std: float,
+) -> PhotoBudget:
+    """The terms of every cell, in the channels of the result.
+
+    Args:
+        lamp_std_deg: `[K]` of the lamps' directions.
+        normal_std_deg: of the sample's normals.
+        scale_std: of the white's reflectance factor, relative.
+    """
+    nodes = found.nodes
+    slopes = colour.slopes(nodes.value)
+    factors = colour.factors(nodes.value)
+    share = found.shots / np.maximum(found.shots.sum(axis=0), 1)
+
+    def apart(term: Floats) -> Floats:  # the channels' errors are independent
+        return np.sqrt(np.einsum("mkc,mc->mk", slopes**2, term**2))
+
+    def together(term: Floats) -> Floats:  # one error in all channels
+        return np.asarray(abs(np.einsum("mkc,mc->mk", slopes, term)))
+
+    luminance = factors[:, 1] if colour.correction else factors.mean(axis=1)
+    of_colour = relative_colour(luminance, colour.left_out_delta_e)[:, None]
+    return PhotoBudget(
+        noise=apart(nodes.noise),
+        place=together(nodes.place),
+        white=apart(abs(nodes.value) * relative_white(share, found.scale)),
+        geometry=together(of_geometry(nodes, grid, share, lamp_std_deg, normal_std_deg)),
+        colour=abs(factors) * of_colour,
+        scale=abs(factors) * scale_std,
+    )

@@ -1,0 +1,184 @@
+"""The photographs of a series: which files, lamp and pose of the board; read one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.camera import Pose
+from raden_torch.capture.photo.development import Development, developed
+from raden_torch.capture.photo.exposures import CEILING, unsaturated
+from raden_torch.capture.photo.lamps import Lamps
+from raden_torch.capture.photo.photo_set import lamp_numbers
+from raden_torch.errors import InputError
+
+_MOST_PIXELS = 400_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One view under one lamp.
+
+    Attributes:
+        files: one, or an exposure stack.
+        lamp: its number in the lights file, from 0.
+        pose: of the board, or None where it is not known.
+        how: how the files are read.
+    """
+
+    files: tuple[Path, ...]
+    lamp: int
+    pose: Pose | None
+    how: Development
+
+    @property
+    def name(self) -> str:
+        return self.files[0].name
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A shot that was read.
+
+    Attributes:
+        radiance: `[H, W, 3]` linear, relative to the white level, per second where times are known.
+        usable: `[H, W]`: not saturated, nor beside a saturated pixel.
+        timed: the unit is per second.
+    """
+
+    radiance: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    timed: bool
+
+    @property
+    def size(self) -> tuple[int, int]:
+        height, width = self.usable.shape
+        return height, width
+
+
+def series(
+    files: Sequence[Path],
+    lamps: Lamps,
+    lights: Path,
+    *,
+    stack: int = 1,
+    numbers: Sequence[int] = (),
+    poses: Mapping[str, Pose] | None = None,
+    how: Development | None = None,
+) -> list[Shot]:
+    """Tell the files apart: photograph k under lamp k, or under `numbers[k]`.
+
+    Args:
+        lights: the lights file, for messages.
+        stack: how many files one after another are one view at several exposures.
+        numbers: of each photograph's lamp, from 1; empty where photograph k has lamp k.
+        poses: of the board, by file name; one alone serves all photographs; photographs without
+            one have None.
+        how: with exposure times for each file, for those of one stack, or none.
+
+    Raises:
+        InputError: numbers that do not fit, a lamp that is not in the list.
+    """
+    if not files:
+        raise InputError("no photograph was given; one a lamp was wanted")
+    if stack < 1 or len(files) % stack:
+        raise InputError(
+            f"{files[-1]}: {len(files)} files do not make stacks of {stack}; a whole number of "
+            "them was wanted"
+        )
+    groups = [tuple(files[i : i + stack]) for i in range(0, len(files), stack)]
+    chosen = _lamps(groups, lamps, lights, numbers)
+    ways = _ways(groups, how or Development())
+    return [
+        Shot(group, lamp, _pose(group, poses), way)
+        for group, lamp, way in zip(groups, chosen, ways, strict=True)
+    ]
+
+
+def read_shot(shot: Shot, exponent: float = 1.0) -> Frame:
+    """Develop a shot's files.
+
+    Args:
+        exponent: of the camera's response, as the lights file says.
+
+    Raises:
+        InputError: as for `developed`, and a photograph that is too large.
+    """
+    photo, merged = developed(shot.files, shot.how)
+    if photo.saturated.size > _MOST_PIXELS:
+        raise InputError(f"{shot.files[0]}: over {_MOST_PIXELS // 10**6} million pixels; crop it")
+    linear = photo.linear if exponent == 1 else np.maximum(photo.linear, 0) ** exponent
+    usable = unsaturated(photo, CEILING)
+    if merged is None and photo.exposure_s is not None:
+        linear = linear / np.float32(photo.exposure_s)
+    timed = merged is not None or photo.exposure_s is not None
+    return Frame(np.asarray(linear, np.float32), usable, timed)
+
+
+def _lamps(
+    groups: Sequence[tuple[Path, ...]], lamps: Lamps, lights: Path, numbers: Sequence[int]
+) -> list[int]:
+    count = len(lamps)
+    if numbers:
+        if len(numbers) != len(groups):
+            raise InputError(
+                f"{len(numbers)} lamps' numbers for {len(groups)} photographs; one for each was "
+                "wanted"
+            )
+        for group, number in zip(groups, numbers, strict=True):
+            if not 1 <= number <= count:
+                raise InputError(
+                    f"{group[0]}: lamp {number} is not in {lights}, which has {count} lamps; a "
+                    f"number from 1 to {count} was wanted"
+                )
+        return [number - 1 for number in numbers]
+    if len(groups) > count:
+        raise InputError(
+            f"{groups[count][0]}: its lamp is not in {lights}, which has {count} lamps for "
+            f"{len(groups)} photographs; say which lamp each one was taken under, or find the lamps"
+        )
+    if len(groups) < count:
+        raise InputError(
+            f"{lights}: {count} lamps, but {len(groups)} photographs; one a lamp, in the lamps' "
+            "order, was wanted, or each one's lamp"
+        )
+    _check_names(groups, lamps, lights)
+    return list(range(count))
+
+
+def _check_names(groups: Sequence[tuple[Path, ...]], lamps: Lamps, lights: Path) -> None:
+    """Numbers in the names that say another order, or a lamp that the file has not."""
+    own = lamp_numbers([group[0].name for group in groups])
+    theirs = lamp_numbers(lamps.names)
+    if own is None or theirs is None or own == theirs:
+        return
+    if set(own) == set(theirs):
+        k = next(k for k, (a, b) in enumerate(zip(own, theirs, strict=True)) if a != b)
+        raise InputError(
+            f"{groups[k][0]}: it is photograph {k + 1}, but lamp {k + 1} of {lights} was found in "
+            f"{lamps.names[k]}; give the photographs in the lamps' order, or each one's lamp"
+        )
+
+
+def _ways(groups: Sequence[tuple[Path, ...]], how: Development) -> list[Development]:
+    size, times = len(groups[0]), how.exposures_s
+    if len(times) not in (0, size, size * len(groups)):
+        raise InputError(
+            f"{len(times)} exposure times for {len(groups)} photographs of {size} files; none, "
+            f"{size} or {size * len(groups)} were wanted"
+        )
+    if len(times) == size:
+        return [how] * len(groups)
+    return [replace(how, exposures_s=times[i * size : (i + 1) * size]) for i in range(len(groups))]
+
+
+def _pose(group: tuple[Path, ...], poses: Mapping[str, Pose] | None) -> Pose | None:
+    """The pose in the photograph itself; one alone in the file serves all, as nothing moves."""
+    if not poses:
+        return None
+    found = next((poses[path.name] for path in group if path.name in poses), None)
+    return next(iter(poses.values())) if found is None and len(poses) == 1 else found

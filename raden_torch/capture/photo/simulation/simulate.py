@@ -1,0 +1,217 @@
+"""A folder of simulated photographs and their truth: what `raden capture simulate` does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.simulation.angles import Floats
+from raden_torch.capture.photo.simulation.camera import View
+from raden_torch.capture.photo.simulation.materials import Material, material_of, truth_of
+from raden_torch.capture.photo.simulation.photo_file import write_photograph
+from raden_torch.capture.photo.simulation.plan import (
+    FACING,
+    PhotoPlan,
+    Shot,
+    camera_of,
+    lamp_at,
+)
+from raden_torch.capture.photo.simulation.plane_set import plane_plan
+from raden_torch.capture.photo.simulation.renderer import SPECIMEN, Studio
+from raden_torch.capture.photo.simulation.scene import printed, sheet
+from raden_torch.capture.photo.simulation.sphere_set import sphere_plan
+from raden_torch.capture.photo.simulation.truth import commands, write_truth
+from raden_torch.capture.photo.simulation.variants import SCALAR, mitsuba
+from raden_torch.errors import InputError
+from raden_torch.images.exr import write_channels
+from raden_torch.images.pixels import write_pixels
+
+_PEAK = 0.85
+"""Of the white level: what the brightest point of the specimen, or a white, is exposed to."""
+_BOARD_LAMP_MM = np.array([150.0, 250.0, 60.0])
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is photographed, and how.
+
+    Attributes:
+        material: a name or a measurement file (`materials.material_of`).
+        shape: "sphere" or "plane".
+        lamps: how many.
+        views: places of the camera, for a plane.
+        near: lamps at 0.55 to 0.7 m instead of 20 m.
+        width: of the photographs in pixels; the height is two thirds of it.
+        bits: of the camera's converter; 8 stores 8-bit files.
+        stack: exposures a photograph, each four times as long as the one before.
+        points: rays along a pixel's edge.
+        seed: of the noise and of where things stand.
+        variant: of Mitsuba.
+
+    Raises:
+        InputError: a number out of its range.
+    """
+
+    material: str = "yakogai"
+    shape: str = "sphere"
+    lamps: int = 29
+    views: int = 6
+    near: bool = False
+    width: int = 1200
+    bits: int = 14
+    stack: int = 1
+    points: int = 2
+    seed: int = 0
+    variant: str = SCALAR
+
+    def __post_init__(self) -> None:
+        if self.shape not in ("sphere", "plane"):
+            raise InputError(f"shape {self.shape!r}; sphere or plane was wanted")
+        ranges = {
+            "lamps": (3, 99),
+            "views": (1, 9),
+            "width": (300, 6000),
+            "bits": (8, 16),
+            "stack": (1, 5),
+            "points": (1, 8),
+            "seed": (0, 2**31),
+        }
+        if self.shape == "plane" and self.stack > 1:
+            raise InputError("exposure stacks are made of a sphere; leave stack at 1 for a plane")
+        for name, (low, high) in ranges.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"{name} = {value}; {low}…{high} was wanted")
+
+
+def simulate_photographs(
+    folder: Path, options: Options, *, progress: Callable[[float], None] | None = None
+) -> list[str]:
+    """Photograph a simulated specimen into a folder that is new or empty.
+
+    Args:
+        progress: called with the share that is done, 0…1.
+
+    Returns:
+        The commands that make a measurement of the photographs.
+
+    Raises:
+        InputError: Mitsuba is missing, an unknown material, a folder that is not empty.
+    """
+    done = progress or (lambda share: None)
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError(f"{folder}: is there and not empty; a new folder was wanted")
+    mi = mitsuba(options.variant)
+    material = material_of(options.material)
+    plan = _plan(mi, options)
+    folder.mkdir(parents=True, exist_ok=True)
+    taken = _Shoot(mi, folder, plan, material, options, done)
+    taken.boards()
+    taken.lamps_and_chart()
+    truth_of(mi, material).save(folder / "truth.csv")
+    write_truth(folder, plan, material, taken.names, taken.seconds, options.stack, options.variant)
+    return commands(plan, taken.names, options.stack)
+
+
+def _plan(mi: Any, options: Options) -> PhotoPlan:
+    camera = camera_of(options.width, options.bits)
+    how: dict[str, Any] = {"lamps": options.lamps, "near": options.near, "seed": options.seed}
+    if options.shape == "sphere":
+        return sphere_plan(mi, camera, **how)
+    return plane_plan(mi, camera, views=options.views, **how)
+
+
+class _Shoot:
+    """The photographs of one plan, one after another."""
+
+    def __init__(
+        self,
+        mi: Any,
+        folder: Path,
+        plan: PhotoPlan,
+        material: Material,
+        options: Options,
+        done: Callable[[float], None],
+    ) -> None:
+        self._mi, self._folder, self._plan, self._material = mi, folder, plan, material
+        self._options, self._done = options, done
+        self._rng = np.random.default_rng([options.seed, 2])
+        self._count, self._all = 0, len(plan.boards) + len(plan.lamps) + len(plan.shots) + 1
+        self.names: dict[str, list[str]] = {"board": [], "chart": [], "lamp": [], "ball": []}
+        self.seconds: dict[str, float] = {}
+
+    def boards(self) -> None:
+        """The board alone, in its poses before the camera at 0."""
+        plan = self._plan
+        for k, place in enumerate(plan.boards):
+            things = {"board": sheet(self._mi, place, printed(self._mi, plan.board.picture()))}
+            studio = Studio(self._mi, things, {}, None, plan.camera, FACING, points=3)
+            middle = place.at(place.width_mm / 2, place.height_mm / 2)
+            reach = float(np.linalg.norm(_BOARD_LAMP_MM - middle))
+            raw = studio.raw(lamp_at(_BOARD_LAMP_MM, reach, 1.0))
+            self._write("board", f"board_{k + 1:02d}", raw, [self._time(raw)])
+
+    def lamps_and_chart(self) -> None:
+        """The specimen under every lamp; the chart; masks and normals."""
+        plan = self._plan
+        peak, studio, view = 0.0, None, -1
+        with TemporaryFile() as file:  # a hundred photographs do not fit into memory
+            shape = len(plan.shots), *plan.camera.size, 3
+            raws = np.memmap(file, np.float32, shape=shape)
+            for k, shot in enumerate(plan.shots):
+                if studio is None or shot.view != view:
+                    studio, view = self._studio(plan.views[shot.view]), shot.view
+                    specimen = studio.mask(SPECIMEN) > 0.5
+                if k == 0:
+                    self._write_masks(studio)
+                    self._chart(studio)
+                raws[k] = studio.raw(plan.lamps[shot.lamp])
+                peak = max(peak, float(raws[k][specimen].max()))
+                if shot.view == 0:
+                    self._write_ball(shot, raws[k])
+            brightest = _PEAK / (peak * plan.camera.sensitivity)
+            seconds = [brightest * 4.0**s for s in range(self._options.stack)]
+            for shot, raw in zip(plan.shots, raws, strict=True):
+                self._write("lamp", shot.name, raw, seconds)
+
+    def _write_ball(self, shot: Shot, raw: NDArray[Any]) -> None:
+        """So short that the lamp's image in the chrome ball is not clipped: its middle counts."""
+        self._write("ball", f"ball_{shot.lamp + 1:02d}", raw, [self._time(raw)])
+
+    def _studio(self, view: View) -> Studio:
+        plan, points = self._plan, self._options.points
+        things, balls, material = plan.things, plan.balls, self._material
+        return Studio(self._mi, things, balls, material, plan.camera, view, points=points)
+
+    def _chart(self, studio: Studio) -> None:
+        raw = studio.raw(self._plan.chart_lamp)
+        chart = studio.mask("chart") > 0.99
+        seconds = _PEAK / (float(raw[chart].max()) * self._plan.camera.sensitivity)
+        self._write("chart", "chart", raw, [seconds / 4, seconds])
+
+    def _time(self, raw: Floats) -> float:
+        return float(_PEAK / (raw.max() * self._plan.camera.sensitivity))
+
+    def _write(self, kind: str, name: str, raw: NDArray[Any], seconds: list[float]) -> None:
+        for k, time in enumerate(seconds):
+            file = f"{name}.png" if len(seconds) == 1 else f"{name}_{k + 1}.png"
+            stored = self._plan.camera.photograph(raw, time, self._rng)
+            write_photograph(self._folder / file, stored, time)
+            self.names[kind].append(file)
+            self.seconds[file] = time
+        self._count += 1
+        self._done(min(1.0, 0.95 * self._count / self._all))
+
+    def _write_masks(self, studio: Studio) -> None:
+        for name in self._plan.masks:
+            grey = np.rint(255 * np.clip(studio.mask(name), 0, 1)).astype(np.uint8)
+            write_pixels(grey, self._folder / f"mask_{name}.png")
+        normal = studio.normals()
+        channels = {f"normal.{c}": normal[..., i].astype(np.float32) for i, c in enumerate("XYZ")}
+        write_channels(self._folder / "truth_normals.exr", channels)

@@ -1,0 +1,315 @@
+"""Simulated photographs of a sphere, a plane and a cylinder of analytic BRDF: a small ray caster of
+its own, in NumPy, without the package's geometry. Frame: x right, y up, z to the viewer."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+Array = np.ndarray
+Y_DOWN = np.array([1.0, -1.0, -1.0])
+
+
+def unit(v: Array) -> Array:
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def shell(normal: Array, light: Array, view: Array, width: float = 0.12) -> Array:
+    """`[P, 3]` f_r in 1/sr of a simulated shell: a matt body, and a coloured lobe around the
+    mirror, isotropic and reciprocal."""
+    half = unit(light + view)
+    miss = np.linalg.norm(np.cross(normal, half), axis=1)
+    lobe = np.exp(-((miss / width) ** 2) / 2)
+    bend = np.arctan2(np.linalg.norm(np.cross(light, view), axis=1), (light * view).sum(1))
+    colour = 1 + 0.5 * np.cos(bend[:, None] * 2 + np.array([0.0, 1.5, 3.0]))
+    return (np.array([0.3, 0.35, 0.32]) + 0.9 * lobe[:, None] * colour) / np.pi
+
+
+def node_truth(nodes_deg: Array, brdf: Callable[..., Array] = shell) -> Array:
+    """`[M, 3]` reflectance factors at raden angles: N is z; L and V lie in a plane that leans by
+    the tilt, on either side of N's projection."""
+    a, r, t = np.radians(nodes_deg).T
+    light = np.stack([-np.sin(a), -np.cos(a) * np.sin(t), np.cos(a) * np.cos(t)], 1)
+    view = np.stack([np.sin(r), -np.cos(r) * np.sin(t), np.cos(r) * np.cos(t)], 1)
+    normal = np.broadcast_to([0.0, 0.0, 1.0], light.shape)
+    return 100 * np.pi * brdf(normal, light, view)
+
+
+def lamp_ring(count: int, seed: int = 0) -> Array:
+    """`[count, 3]` directions from 10 to 115 degrees off the camera's axis, on all sides."""
+    k = np.arange(count)
+    away = np.radians(10 + 105 * (k + 0.5) / count)
+    turn = 2.4 * k + seed
+    return np.stack([np.sin(away) * np.cos(turn), np.sin(away) * np.sin(turn), np.cos(away)], 1)
+
+
+@dataclass
+class Series:
+    """Simulated photographs in a folder, with the files of the earlier steps."""
+
+    folder: Path
+    photos: list[Path]
+    lights: Path
+    mask: Path
+    white: Path
+    lamps: Array
+    extra: dict[str, object] = field(default_factory=dict)
+
+
+def write_lights(
+    path: Path, direction: Array, intensity: Array, position: Array | None = None, unit_: str = "px"
+) -> None:
+    rows = [
+        {"photograph": f"ball{k}.png", "direction_to_lamp": d.tolist(), "intensity": float(i)}
+        | ({} if position is None else {f"position_{unit_}": position[k].tolist()})
+        for k, (d, i) in enumerate(zip(direction, intensity, strict=True))
+    ]
+    content = {"format": "raden capture", "version": 1, "kind": "lights", "made_from": []}
+    content |= {"unit": unit_, "response_exponent": 1.0, "lamps": rows}
+    path.write_text(json.dumps(content))
+
+
+def write_photo(path: Path, linear: Array) -> None:
+    stored = np.clip(np.rint(linear * 65535), 0, 65535).astype(np.uint16)
+    cv2.imwrite(str(path), stored[..., ::-1])
+
+
+@pytest.fixture
+def sphere_series(tmp_path: Path) -> Callable[..., Series]:
+    """Photographs of a sphere by a far camera; beside it a white card faces the camera."""
+
+    def make(
+        count: int = 12,
+        *,
+        radius: float = 150.0,
+        near: float | None = None,
+        noise: float = 0.002,
+        outliers: float = 0.0,
+        brdf: Callable[..., Array] = shell,
+        lamps: Array | None = None,
+        power: Array | None = None,
+        exposure: float = 0.25,
+        moved: dict[int, tuple[float, float]] | None = None,
+        lamp_error_deg: float = 0.0,
+        seed: int = 0,
+        name: str = "s",
+    ) -> Series:
+        folder = tmp_path / name
+        folder.mkdir()
+        random = np.random.default_rng(seed)
+        side = int(2 * radius + 60)
+        size = side, side + 80
+        centre = np.array([side / 2 + 0.3, side / 2 - 0.2])
+        y, x = np.mgrid[: size[0], : size[1]].astype(float)
+        direction = lamp_ring(count) if lamps is None else lamps
+        count = len(direction)
+        power = np.ones(count) if power is None else power
+        middle = np.array([centre[0], -centre[1], radius])
+        position = None if near is None else middle + near * radius * direction
+        photos = []
+        for k in range(count):
+            shift = (moved or {}).get(k, (0.0, 0.0))
+            dx, dy = x - centre[0] - shift[0], -(y - centre[1] - shift[1])
+            z = np.sqrt(np.clip(radius**2 - dx**2 - dy**2, 0, None))
+            on = z > 0
+            point = np.stack([dx + centre[0], dy - centre[1], z], -1)
+            card = (x > side + 10) & (y > 20) & (y < side - 20)
+            linear = np.full((*size, 3), 0.004)
+            for where, normal in ((on, np.stack([dx, dy, z], -1) / radius), (card, None)):
+                p = (
+                    point[where]
+                    if normal is not None
+                    else np.stack([x, -y, 0 * x + radius], -1)[where]
+                )
+                n = normal[where] if normal is not None else np.broadcast_to([0.0, 0, 1], p.shape)
+                to = np.broadcast_to(direction[k], p.shape)
+                fall = np.ones(len(p))
+                if position is not None:
+                    to = position[k] - p
+                    fall = ((position[k] - middle) ** 2).sum() / (to**2).sum(1)
+                    to = unit(to)
+                lit = np.clip((n * to).sum(1), 0, None) * fall * power[k]
+                view = np.broadcast_to([0.0, 0, 1], p.shape)
+                f = brdf(n, to, view) if normal is not None else np.full((len(p), 3), 0.9 / np.pi)
+                linear[where] = np.pi * f * lit[:, None] * exposure
+            linear = cv2.GaussianBlur(linear, (0, 0), 0.5)
+            linear = linear + noise * np.sqrt(linear + 0.01) * random.normal(size=linear.shape)
+            if outliers:
+                bad = random.random(size) < outliers
+                linear[bad] = random.choice([0.0, 0.9], bad.sum())[:, None]
+            photos.append(folder / f"photo{k}.png")
+            write_photo(photos[-1], linear)
+        lean = np.radians(lamp_error_deg) * random.normal(size=direction.shape)
+        said = unit(direction + lean)
+        reach = None if position is None else middle + near * radius * said
+        write_lights(folder / "lights.json", said, power / power.mean(), reach)
+        on = np.hypot(x - centre[0], y - centre[1]) < radius
+        cv2.imwrite(str(folder / "mask.png"), 255 * on.astype(np.uint8))
+        card = (x > side + 10) & (y > 20) & (y < side - 20)
+        cv2.imwrite(str(folder / "white.png"), 255 * card.astype(np.uint8))
+        return Series(
+            folder, photos, folder / "lights.json", folder / "mask.png", folder / "white.png",
+            direction,
+        )  # fmt: skip
+
+    return make
+
+
+def sphere_setup(series: Series) -> dict[str, object]:
+    """The arguments of `capture_brdf` for such a series."""
+    from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
+    from raden_torch.capture.photo.brdf.sample import SampleSpec
+    from raden_torch.capture.photo.brdf.white import D65_XYZ, WhiteFactor
+    from raden_torch.capture.photo.capture_brdf import Setup
+    from raden_torch.capture.photo.development import Development
+
+    return {
+        "photographs": series.photos,
+        "setup": Setup(series.lights, development=Development("linear"), lamp_std_deg=0.1),
+        "sample": SampleSpec("sphere", series.mask),
+        "white": WhiteSpec(series.white),
+        "factor": WhiteFactor(0.9 * D65_XYZ),
+    }
+
+
+CAMERA_PX = np.array([[900.0, 0, 319.5], [0, 900.0, 239.5], [0, 0, 1.0]])
+SIZE = (480, 640)
+FLAT_M = np.array([[0.02, 0.02], [0.12, 0.02], [0.12, 0.10], [0.02, 0.10]])
+WHITE_M = np.array([[0.13, 0.02], [0.16, 0.02], [0.16, 0.10], [0.13, 0.10]])
+ROD_M = np.array([[0.02, 0.06], [0.12, 0.06]])
+ROD_RADIUS_M = 0.02
+
+
+def looking(azimuth_deg: float, away_deg: float, distance_m: float) -> tuple[Array, Array]:
+    """A camera's pose (board to OpenCV's camera) that looks at the board's middle from `away_deg`
+    off its normal."""
+    turn, away = np.radians(azimuth_deg), np.radians(away_deg)
+    middle = np.array([0.09, 0.06, 0.0])
+    place = middle + distance_m * np.array(
+        [np.sin(away) * np.cos(turn), np.sin(away) * np.sin(turn), -np.cos(away)]
+    )
+    forward = unit(middle - place)
+    right = unit(np.cross(np.array([0.0, 1.0, 0.02]), forward))
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return rotation, -rotation @ place
+
+
+@pytest.fixture
+def board_series(tmp_path: Path) -> Callable[..., Series]:
+    """Photographs of a flat sample, or of a rod, on a board with a white field; near lamps that
+    stand beside the board; the camera moves (`poses`: azimuth, away from the normal, degrees)."""
+
+    def make(
+        lamps_m: Array,
+        poses: list[tuple[float, float]],
+        *,
+        rod: bool = False,
+        noise: float = 0.001,
+        brdf: Callable[..., Array] = shell,
+        seed: int = 0,
+        name: str = "b",
+    ) -> Series:
+        folder = tmp_path / name
+        folder.mkdir()
+        random = np.random.default_rng(seed)
+        y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+        photos, entries, mask = [], [], np.zeros(SIZE, bool)
+        for k, (lamp, (turn, away)) in enumerate(zip(lamps_m, poses, strict=True)):
+            rotation, shift = looking(turn, away, 0.35)
+            ray = np.stack([(x - 319.5) / 900, (y - 239.5) / 900, np.ones_like(x)], -1)
+            ray = unit(ray.reshape(-1, 3)) @ rotation
+            start = -rotation.T @ shift
+            point = start + (-start[2] / ray[:, 2])[:, None] * ray
+            normal = np.broadcast_to([0.0, 0.0, -1.0], point.shape).copy()
+            inside = [
+                ((point[:, :2] > c.min(0)) & (point[:, :2] < c.max(0))).all(1)
+                for c in (FLAT_M, WHITE_M)
+            ]
+            if rod:  # the circle y = 0.06, z = −r, from x = 0.02 to 0.12
+                o = start[1:] - [0.06, -ROD_RADIUS_M]
+                d = ray[:, 1:]
+                b, c = d @ o, (o**2).sum() - ROD_RADIUS_M**2
+                square = b**2 - (d**2).sum(1) * c
+                reach = (-b - np.sqrt(np.clip(square, 0, None))) / (d**2).sum(1)
+                on = start + reach[:, None] * ray
+                hit = (square > 0) & (on[:, 0] > 0.02) & (on[:, 0] < 0.12)
+                point[hit] = on[hit]
+                normal[hit] = unit((on - [0, 0.06, -ROD_RADIUS_M]) * [0, 1, 1])[hit]
+                inside = [hit, inside[1] & ~hit]
+                mask |= hit.reshape(SIZE)
+            to = lamp - point
+            fall = 0.09 / (to**2).sum(1)
+            to = unit(to)
+            lit = np.clip((normal * to).sum(1), 0, None) * fall
+            f = np.full((len(point), 3), 0.1 / np.pi)
+            f[inside[0]] = brdf(normal[inside[0]], to[inside[0]], -ray[inside[0]])
+            f[inside[1]] = 0.9 / np.pi
+            linear = (0.2 * np.pi * f * lit[:, None]).reshape(*SIZE, 3)
+            linear = cv2.GaussianBlur(linear, (0, 0), 0.5)
+            linear += noise * np.sqrt(np.abs(linear) + 0.01) * random.normal(size=linear.shape)
+            photos.append(folder / f"photo{k}.png")
+            write_photo(photos[-1], linear)
+            entries.append(
+                {
+                    "file": photos[-1].name,
+                    "corners": 24,
+                    "reprojection_rms_px": 0.2,
+                    "rotation_board_to_camera": rotation.tolist(),
+                    "translation_board_to_camera_m": shift.tolist(),
+                }
+            )
+        camera = {"format": "raden capture", "version": 1, "kind": "camera", "made_from": []}
+        camera |= {"camera_matrix_px": CAMERA_PX.tolist(), "distortion": [0.0] * 5}
+        camera |= {"image_width_px": SIZE[1], "image_height_px": SIZE[0]}
+        board = {"columns": 5, "rows": 7, "square_m": 0.04, "marker_m": 0.02}
+        camera |= {"board": board | {"dictionary": "DICT_6X6_250", "legacy": False}}
+        (folder / "camera.json").write_text(json.dumps(camera | {"poses": entries}))
+        rotation, shift = looking(*poses[0], 0.35)
+        position = 1000 * (lamps_m @ rotation.T + shift) * Y_DOWN
+        middle = 1000 * (rotation @ np.array([0.07, 0.06, 0.0]) + shift) * Y_DOWN
+        # relative irradiance at the sample's middle: of equal lamps, by their distance
+        power = 1 / ((position - middle) ** 2).sum(1)
+        write_lights(
+            folder / "lights.json", unit(position - middle), power / power.mean(), position, "mm"
+        )
+        cv2.imwrite(str(folder / "mask.png"), 255 * mask.astype(np.uint8))
+        return Series(
+            folder, photos, folder / "lights.json", folder / "mask.png", folder / "none.png",
+            lamps_m, {"camera": folder / "camera.json"},
+        )  # fmt: skip
+
+    return make
+
+
+def board_setup(series: Series, *, rod: bool = False, axis: bool = True) -> dict[str, object]:
+    """The arguments of `capture_brdf` for such a series."""
+    from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
+    from raden_torch.capture.photo.brdf.sample import SampleSpec
+    from raden_torch.capture.photo.brdf.white import D65_XYZ, WhiteFactor
+    from raden_torch.capture.photo.capture_brdf import Setup
+    from raden_torch.capture.photo.development import Development
+
+    sample = SampleSpec("plane", region_m=FLAT_M)
+    if rod:
+        sample = SampleSpec(
+            "cylinder", series.mask, radius_mm=1000 * ROD_RADIUS_M, axis_m=ROD_M if axis else None
+        )
+    return {
+        "photographs": series.photos,
+        "setup": Setup(
+            series.lights,
+            Path(str(series.extra["camera"])),
+            seen_in=series.photos[0].name,
+            lamp_std_deg=0.1,
+            development=Development("linear"),
+        ),
+        "sample": sample,
+        "white": WhiteSpec(region_m=WHITE_M),
+        "factor": WhiteFactor(0.9 * D65_XYZ),
+    }
