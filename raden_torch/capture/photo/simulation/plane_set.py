@@ -49,7 +49,7 @@ def plane_plan(
     The first view is from nearly above and shows everything, the others lean to all sides.
     """
     rng = np.random.default_rng([seed, 1])
-    board = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.5)
+    board = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.0)
     lying = Sheet(np.zeros(3), RIGHT, -UP, *board.size_mm)
     chart = Sheet(np.array([154.0, -28.0, 0.0]), RIGHT, -UP, 77.0, 55.0)
     table = Sheet(np.array([-500.0, 500.0, -0.5]), RIGHT, -UP, 1200.0, 1000.0)
