@@ -33,7 +33,7 @@ class Kriging:
     """The interpolant of readings.
 
     Args:
-        angles_deg: `[M, 3]` incidence, receiving, tilt; no geometry twice.
+        angles_deg: `[M, 3]` incidence, receiving, tilt, `canonical`; no geometry twice.
         values: `[M, C]`.
         noise: `[M]` or one number: variance of the values over the process' own.
     """
@@ -41,10 +41,10 @@ class Kriging:
     def __init__(self, angles_deg: Floats, values: Floats, noise: Floats | float = 0.0) -> None:
         from scipy.spatial import cKDTree
 
-        near = (angles_deg[:, 0] > 1e-9) & (angles_deg[:, 0] < _MIRRORED_BELOW_DEG)
+        near = (angles_deg[:, 0] < _MIRRORED_BELOW_DEG) & (abs(angles_deg) > 1e-9).any(axis=1)
         own = np.arange(len(angles_deg))
         self._reading = np.concatenate([own, own[near]])
-        self._points = _coordinates(np.concatenate([angles_deg, -angles_deg[near]]))
+        self._points = ridge_coordinates(np.concatenate([angles_deg, -angles_deg[near]]))
         self._values = np.asarray(values, np.float64)
         self._noise = np.broadcast_to(np.asarray(noise, np.float64), (len(own),)) + _NUGGET
         self._tree = cKDTree(self._points)
@@ -53,32 +53,26 @@ class Kriging:
     def __call__(self, angles_deg: Floats) -> Floats:
         """`[N, 3]` → `[N, C]`."""
         found = np.empty((len(angles_deg), self._values.shape[1]))
-        for part in self._blocks(_coordinates(angles_deg)):
-            found[part.query] = part.mean[part.block] + np.einsum(
-                "nk,nkc->nc", part.covariance, part.dual[part.block]
-            )
+        for part in self._blocks(ridge_coordinates(angles_deg)):
+            found[part.query] = part.prediction()
         return found
 
-    def uncertainty(self, angles_deg: Floats) -> tuple[Floats, Ints]:
-        """`[N]` the standard deviation of the prediction over the process' own; and `[N, 8]` the
-        nearest readings, the nearest first."""
-        points = _coordinates(angles_deg)
-        found = np.empty(len(points))
+    def with_std(self, angles_deg: Floats) -> tuple[Floats, Floats]:
+        """`[N, C]` and its standard deviation over the process' own, `[N]`."""
+        points = ridge_coordinates(angles_deg)
+        found, variance = np.empty((len(points), self._values.shape[1])), np.empty(len(points))
         for part in self._blocks(points):
-            known = np.einsum(
-                "nk,nk->n",
-                part.covariance,
-                np.matmul(part.inverse[part.block], part.covariance[..., None])[..., 0],
-            )
-            missing = 1 - np.einsum("nk,nk->n", part.covariance, part.weight[part.block])
-            total = part.weight[part.block].sum(axis=1)
-            found[part.query] = 1 - known + missing**2 / total
-        nearest = self._tree.query(points, min(8, self._k))[1].reshape(len(points), -1)
-        return np.sqrt(np.maximum(found, _NUGGET)), self._reading[nearest]
+            found[part.query] = part.prediction()
+            variance[part.query] = part.variance()
+        return found, np.sqrt(np.maximum(variance, _NUGGET))
 
-    def distance(self, angles_deg: Floats) -> Floats:
-        """`[N]` from the nearest reading, in units of the metric."""
-        return np.asarray(self._tree.query(_coordinates(angles_deg))[0])
+    def nearest(self, angles_deg: Floats, count: int) -> tuple[Floats, Ints]:
+        """`[N]` the distance to the nearest reading, in units of the metric; and `[N, count]` which
+        are the nearest ones."""
+        count = min(count, len(self._points))
+        far, near = self._tree.query(ridge_coordinates(angles_deg), count)
+        shape = len(angles_deg), count
+        return far.reshape(shape)[:, 0], self._reading[near.reshape(shape)]
 
     def leave_one_out(self, rows: Ints | None = None) -> tuple[Floats, Floats]:
         """What each reading would have been taken for without it, less what it is.
@@ -127,9 +121,9 @@ class Kriging:
         covariance = _matern(np.maximum(between, 0))
         diagonal = np.arange(self._k)
         covariance[:, diagonal, diagonal] = 1 + self._noise[self._reading[near]]
-        inverse = np.linalg.inv(covariance)
+        inverse = np.asarray(np.linalg.inv(covariance), np.float64)
         values = self._values[self._reading[near]]
-        weight = inverse.sum(axis=2)
+        weight: Floats = inverse.sum(axis=2)
         total = weight.sum(axis=1)
         mean = np.einsum("bk,bkc->bc", weight, values) / total[:, None]
         dual = inverse @ (values - mean[:, None])
@@ -148,8 +142,28 @@ class _Part:
     block: Ints = None  # type: ignore[assignment]  # [N] in which neighbourhood
     covariance: Floats = None  # type: ignore[assignment]  # [N, k] with its readings
 
+    def prediction(self) -> Floats:
+        own = np.einsum("nk,nkc->nc", self.covariance, self.dual[self.block])
+        return np.asarray(self.mean[self.block] + own)
 
-def _coordinates(angles_deg: Floats) -> Floats:
+    def variance(self) -> Floats:
+        """Of the prediction: 1 − kᵀ K⁻¹ k, and what not knowing the mean adds."""
+        known = (self.inverse[self.block] @ self.covariance[..., None])[..., 0]
+        known = np.einsum("nk,nk->n", self.covariance, known)
+        missing = 1 - np.einsum("nk,nk->n", self.covariance, self.weight[self.block])
+        return np.asarray(1 - known + missing**2 / self.weight[self.block].sum(axis=1))
+
+
+def canonical(angles_deg: Floats) -> Floats:
+    """`[M, 3]`: of the equivalents (0, r, t) ≡ (0, −r, −t), the one that is read first: r > 0, or
+    r = 0 and t ≥ 0. Other angles are unchanged."""
+    a, r, t = np.asarray(angles_deg, np.float64).T
+    turned = (abs(a) < 1e-6) & ((r < -1e-6) | ((abs(r) <= 1e-6) & (t < 0)))
+    return np.where(turned[:, None], angles_deg * np.array([1.0, -1.0, -1.0]) + 0.0, angles_deg)
+
+
+def ridge_coordinates(angles_deg: Floats) -> Floats:
+    """`[M, 3]`: s, u and t in units of the metric."""
     a, r, t = np.asarray(angles_deg, np.float64).T
     return np.stack([(a + r) / 2, (r - a) / 2, t], axis=1) / _UNIT_DEG
 
