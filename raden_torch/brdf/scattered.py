@@ -7,16 +7,17 @@ kriged again, and read at any angle, not only at nodes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 
 from raden_torch.brdf.fill import REACH, Bools, Filled, Floats
 from raden_torch.brdf.interpolation.lobes import Axes
-from raden_torch.brdf.interpolation.schemes import CAP, FLOOR, Reconstruction
+from raden_torch.brdf.interpolation.schemes import CAP, Reconstruction
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.kriging import Kriging, canonical
+from raden_torch.measurement.distinct import FLOOR, DistinctReadings, distinct_readings
+from raden_torch.measurement.kriging import canonical
 
 SCHEME = "kriging"
 """What the choice of an interpolation calls it."""
@@ -24,55 +25,25 @@ SCHEME = "kriging"
 _SMOOTHNESS = (0.0, 1e-4, 1e-3, 1e-2)
 """Noise that nobody stated, over the process' variance: the one that leave-one-out prefers."""
 _TRIED = 2000  # readings, to choose it by
-_LOWEST = -5.0  # noise may be negative; its logarithm may not end
-_LUMINANCE = 1
 
 
-@dataclass(frozen=True)
-class Scattered:
-    """Readings of distinct geometries.
-
-    Attributes:
-        angles_deg: `[M, 3]` incidence, receiving, tilt.
-        logs: `[M, 3]` of XYZ reflectance factors, log(`FLOOR` + value).
-        noise: `[M]` variance of the logarithm of Y over that of all readings.
-    """
-
-    angles_deg: Floats
-    logs: Floats
-    noise: Floats
-
-    def kriged(self, less: Floats | float = 0.0) -> Kriging:
-        """Of the logarithms, less a part that is known."""
-        return Kriging(self.angles_deg, self.logs - less, self.noise)
+def gather(xyz: BrdfMeasurement) -> DistinctReadings:
+    """Scattered readings, with the noise that predicts each of them best from the others."""
+    readings = distinct_readings(xyz)
+    rows = np.linspace(0, len(readings.logs) - 1, min(_TRIED, len(readings.logs))).astype(int)
+    tried = [replace(readings, noise=readings.noise + extra) for extra in _SMOOTHNESS]
+    errors = [float(np.mean(abs(one.kriged().leave_one_out(rows)[0]))) for one in tried]
+    return tried[int(np.argmin(errors))]
 
 
-def gather(xyz: BrdfMeasurement) -> Scattered:
-    """Readings of one geometry, and of its equivalent at incidence 0, become their mean."""
-    angles = canonical(np.stack([xyz.incidence_deg, xyz.receiving_deg, xyz.tilt_deg], axis=1))
-    distinct, index = np.unique(np.round(angles, 6), axis=0, return_inverse=True)
-    weight = np.ones(len(xyz)) if xyz.count is None else np.maximum(xyz.count, 1.0)
-
-    def mean(column: Floats, share: Floats) -> Floats:
-        return np.bincount(index.ravel(), share * column) / np.bincount(index.ravel(), weight)
-
-    factors = np.stack([mean(column, weight) for column in xyz.values.T], axis=1)
-    logs = np.log(FLOOR + np.maximum(factors, _LOWEST))
-    std = np.zeros(len(xyz)) if xyz.std is None else np.nan_to_num(xyz.std[:, _LUMINANCE])
-    # of the mean: Σ w² σ² / (Σ w)²; the second division is by the mean's own weight
-    variance = mean(std**2, weight**2) / np.bincount(index.ravel(), weight)
-    spread = max(float(np.var(logs[:, _LUMINANCE])), 1e-12)
-    stated = variance / np.exp(2 * logs[:, _LUMINANCE]) / spread
-    return _smoothed(Scattered(distinct, logs, stated))
-
-
-def known_nodes(angles_deg: Floats, xyz: Floats) -> Scattered:
+def known_nodes(angles_deg: Floats, xyz: Floats) -> DistinctReadings:
     """Nodes `[M, 3]` with values `[M, 3]`, as if they had been read."""
     angles, first = np.unique(canonical(angles_deg), axis=0, return_index=True)
-    return Scattered(angles, np.log(FLOOR + np.maximum(xyz[first], 0)), np.zeros(len(first)))
+    logs = np.log(FLOOR + np.maximum(xyz[first], 0))
+    return DistinctReadings(angles, logs, np.zeros(len(first)), 1.0)
 
 
-def on_table(axes_deg: Axes, readings: Scattered) -> tuple[Floats, Bools, Filled]:
+def on_table(axes_deg: Axes, readings: DistinctReadings) -> tuple[Floats, Bools, Filled]:
     """Krige a table's nodes.
 
     Args:
@@ -97,7 +68,7 @@ def on_table(axes_deg: Axes, readings: Scattered) -> tuple[Floats, Bools, Filled
 
 
 def between_readings(
-    base: Reconstruction, readings: Scattered, beyond: Scattered
+    base: Reconstruction, readings: DistinctReadings, beyond: DistinctReadings
 ) -> Reconstruction:
     """A function of the angles that goes through the readings.
 
@@ -107,10 +78,11 @@ def between_readings(
     """
     low = np.array([axis[0] for axis in base.axes_deg])
     step = np.array([axis[1] - axis[0] for axis in base.axes_deg])
-    known = Scattered(
-        np.concatenate([readings.angles_deg, beyond.angles_deg]),
-        np.concatenate([readings.logs, beyond.logs]),
-        np.concatenate([readings.noise, beyond.noise]),
+    known = replace(
+        readings,
+        angles_deg=np.concatenate([readings.angles_deg, beyond.angles_deg]),
+        logs=np.concatenate([readings.logs, beyond.logs]),
+        noise=np.concatenate([readings.noise, beyond.noise]),
     )
     shape = 0.0 if base.lobes is None else base.lobes(*known.angles_deg.T)[:, None]
     left_over = known.kriged(shape)
@@ -126,19 +98,10 @@ def between_readings(
     )
 
 
-def _smoothed(readings: Scattered) -> Scattered:
-    """With the noise that predicts each reading best from the others."""
-    rows = np.linspace(0, len(readings.logs) - 1, min(_TRIED, len(readings.logs))).astype(int)
-    tried = [
-        Scattered(readings.angles_deg, readings.logs, readings.noise + extra)
-        for extra in _SMOOTHNESS
-    ]
-    errors = [float(np.mean(abs(one.kriged().leave_one_out(np.unique(rows))[0]))) for one in tried]
-    return tried[int(np.argmin(errors))]
-
-
 def _in_nodes(axes_deg: Axes, angles_deg: Floats) -> Floats:
-    """`[M, 3]`: positions counted in nodes."""
-    low = np.array([axis[0] for axis in axes_deg])
+    """`[M, 3]`: positions counted in nodes; of equivalents at incidence 0 the one in the box."""
+    low, high = (np.array([axis[end] for axis in axes_deg]) for end in (0, -1))
     step = np.array([axis[1] - axis[0] for axis in axes_deg])
-    return np.asarray(np.round((angles_deg - low) / step, 6))
+    outside = ((angles_deg < low - 1e-6) | (angles_deg > high + 1e-6)).any(axis=1)
+    inside = np.where(outside[:, None], angles_deg * [1.0, -1.0, -1.0], angles_deg)
+    return np.asarray(np.round((inside - low) / step, 6))

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from raden_torch.brdf.fill import Bools, Floats, fill
-from raden_torch.brdf.scattered import Scattered, gather, on_table
+from raden_torch.brdf.scattered import gather, on_table
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from raden_torch.measurement.distinct import DistinctReadings
 from raden_torch.measurement.readings import FACTOR_PER_SR, RGB
 
 __all__ = ["Floats", "Tabulated", "tabulate"]
@@ -52,7 +53,7 @@ class Tabulated:
     asymmetry: float
     reading_angles: tuple[Floats, Floats, Floats]
     readings: Floats
-    scattered: Scattered | None
+    scattered: DistinctReadings | None
     warnings: tuple[str, ...]
 
 
@@ -120,7 +121,7 @@ def _as_xyz(measurement: BrdfMeasurement, rgb: BrdfMeasurement) -> BrdfMeasureme
     """The valid readings, from what was measured where that makes a colour: its `std` is kept."""
     if measurement.is_spectral and not measurement.has_colour:
         return rgb.as_xyz()
-    return measurement.select(measurement.valid).as_xyz()
+    return measurement.as_xyz()
 
 
 def _uniform(grid: ReadingGrid) -> ReadingGrid | None:

@@ -23,11 +23,9 @@ from scipy.ndimage import maximum_filter
 from raden_torch.brdf.interpolation.continuation import PAD, continued
 from raden_torch.brdf.interpolation.kernels import Floats, Kernel, akima, linear
 from raden_torch.brdf.interpolation.lobes import Axes, Lobes, fit_lobes
+from raden_torch.measurement.distinct import FLOOR  # ε
 
 Ints = NDArray[np.int64]
-
-FLOOR = 10.0
-"""ε, a reflectance factor: below it the logarithm turns linear, so that noise is not blown up."""
 
 CAP = 1.5  # no value above this times the largest of the 27 nodes around it
 _LUMINANCE = 1  # the channel that the lobes are fitted to: Y
