@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.ports import Floats
@@ -20,8 +21,7 @@ def rehearse(plan: Plan, sample: Callable[[Floats], BrdfMeasurement]) -> Plan:
         The plan at its end: `cells` are what it read, in that order.
     """
     while True:
-        cells = plan.cells
-        decision = plan.decide(len(cells) * plan.per_cell, lambda cells=cells: sample(cells))
+        decision = plan.decide(len(plan.cells) * plan.per_cell, partial(sample, plan.cells))
         if decision is None:
             return plan
         plan = plan.after(decision)
