@@ -34,11 +34,12 @@ def fit(
 
     Args:
         measurement: readings on a grid of incidence × receiving × tilt, whose gaps are filled; or
-            scattered readings, which are regularised onto a 5 degree table. Bands that make no
-            colour give a grey model.
+            scattered readings, which are kriged onto a 5 degree table. Bands that make no colour
+            give a grey model.
         diffuse: the diffuse parameters, set by hand as in the paper; fitted where None.
         interpolation: what lies between the nodes: "trilinear" (the paper), another of
-            `interpolation.SCHEMES`, or "auto": the one that a hold-out, or `validation`, prefers.
+            `interpolation.SCHEMES`, "kriging" (of scattered readings), or "auto": kriging where
+            they are scattered, else the one that a hold-out, or `validation`, prefers.
         validation: readings off the grid to choose by, at least 200.
 
     Returns:

@@ -102,7 +102,7 @@ def make_report(
     reciprocity = reciprocity_error(table)
     return FitReport(
         cells=int(table.measured.size),
-        scattered=table.scattered,
+        scattered=table.scattered is not None,
         measured=int(table.measured.sum()),
         from_equivalent=int(table.from_equivalent.sum()),
         from_neighbours=int(table.from_neighbours.sum()),

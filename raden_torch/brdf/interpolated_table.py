@@ -11,6 +11,8 @@ import torch
 from raden_torch.brdf.interpolation import SCHEMES, bake, reconstruct, why_not
 from raden_torch.brdf.interpolation.choose import LEAST_READINGS, best, hold_out_losses, losses
 from raden_torch.brdf.interpolation.schemes import Reconstruction
+from raden_torch.brdf.scattered import SCHEME as KRIGING
+from raden_torch.brdf.scattered import between_readings, known_nodes
 from raden_torch.brdf.table import ReflectanceTable
 from raden_torch.brdf.tabulate import Floats, Tabulated
 from raden_torch.errors import InputError
@@ -24,7 +26,7 @@ class Choice:
     """An interpolator, and why.
 
     Attributes:
-        scheme: a key of `SCHEMES`.
+        scheme: a key of `SCHEMES`, or "kriging".
         why: one sentence.
         losses: the loss of every scheme that was compared (trilinear = 1).
     """
@@ -41,14 +43,16 @@ def choose_interpolation(
 
     Args:
         total: `[A, R, T, 3]` f_r without gaps.
-        wanted: a key of `SCHEMES`, or "auto".
+        wanted: a key of `SCHEMES`, "kriging" (of scattered readings), or "auto".
 
     Raises:
         InputError: see `fit`.
     """
-    if wanted not in ("auto", *SCHEMES):
-        raise InputError(f"interpolation {wanted!r}: auto, {', '.join(SCHEMES)} were wanted")
-    reason = "its readings are scattered" if table.scattered else why_not(table.axes_deg)
+    if wanted not in ("auto", *SCHEMES, KRIGING):
+        raise InputError(f"interpolation {wanted!r}: auto, {', '.join(SCHEMES)}, {KRIGING} wanted")
+    if wanted == KRIGING and table.scattered is None:
+        raise InputError("interpolation kriging: is for scattered readings; these fill a grid")
+    reason = why_not(table.axes_deg)
     if reason and wanted not in ("auto", "trilinear"):
         raise InputError(f"interpolation {wanted}: {reason}; trilinear supports this measurement")
     if wanted != "auto":
@@ -60,6 +64,8 @@ def choose_interpolation(
         points, truth = _validation_points(table, validation)
         found = losses(_all_schemes(table, xyz), points, truth)
         return Choice(best(found), f"best on {len(truth)} validation readings", found)
+    if table.scattered is not None:
+        return Choice(KRIGING, "its readings are scattered")
     known = table.measured & ~table.averaged
     found = hold_out_losses(table.axes_deg, xyz, known)
     if not found:
@@ -78,7 +84,8 @@ def make_table(table: Tabulated, total: Floats, scheme: str) -> ReflectanceTable
     )
     if scheme == "trilinear":
         return ReflectanceTable(torch.from_numpy(total).float(), first, step)  # type: ignore[arg-type]
-    baked = bake(reconstruct(table.axes_deg, _xyz_factors(total), SCHEMES[scheme]))
+    function, like = _function(table, _xyz_factors(total), scheme)
+    baked = bake(function, like=like)
     values = baked.values @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
     return ReflectanceTable(torch.from_numpy(values).float(), first, step, baked.pieces)  # type: ignore[arg-type]
 
@@ -89,8 +96,20 @@ def _xyz_factors(f_r: Floats) -> Floats:
 
 
 def _all_schemes(table: Tabulated, xyz: Floats) -> Iterator[tuple[str, Reconstruction]]:
-    for name, scheme in SCHEMES.items():
-        yield name, reconstruct(table.axes_deg, xyz, scheme)
+    for name in (*SCHEMES, KRIGING) if table.scattered is not None else SCHEMES:
+        yield name, _function(table, xyz, name)[0]
+
+
+def _function(
+    table: Tabulated, xyz: Floats, scheme: str
+) -> tuple[Reconstruction, Reconstruction | None]:
+    """What lies between the nodes; and a function that is read sooner and has the same shape."""
+    if scheme != KRIGING or table.scattered is None:
+        return reconstruct(table.axes_deg, xyz, SCHEMES[scheme]), None
+    base = reconstruct(table.axes_deg, xyz, SCHEMES["lobes"])
+    nodes = np.stack(np.meshgrid(*table.axes_deg, indexing="ij"), axis=-1)
+    beyond = known_nodes(nodes[table.without_neighbour], xyz[table.without_neighbour])
+    return between_readings(base, table.scattered, beyond), base
 
 
 def _validation_points(table: Tabulated, validation: BrdfMeasurement) -> tuple[Floats, Floats]:

@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from raden_torch.brdf.fill import Bools, Floats, fill
-from raden_torch.brdf.regularise import regularise
+from raden_torch.brdf.scattered import gather, on_table
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
+from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from raden_torch.measurement.distinct import DistinctReadings
 from raden_torch.measurement.readings import FACTOR_PER_SR, LEAST_COVERAGE, RGB
 
 __all__ = ["Floats", "Tabulated", "tabulate"]
@@ -17,6 +19,8 @@ __all__ = ["Floats", "Tabulated", "tabulate"]
 SCATTERED_STEP_DEG = 5.0
 """The table's step where the readings have no grid of their own: the paper's."""
 
+_MOSTLY = 0.5
+"""A grid of which less than this was measured is taken for scattered readings."""
 _MAX_NODES = 361  # on one axis, and
 _MAX_CELLS = 4_000_000  # in the table
 
@@ -34,7 +38,7 @@ class Tabulated:
         asymmetry: see `fill.Filled`.
         reading_angles: incidence, receiving, tilt of the valid readings, `[M]` each, in radians.
         readings: `[M, 3]` their f_r in 1/sr.
-        scattered: True where the readings do not lie on nodes.
+        scattered: the readings, where they do not lie on nodes or fill less than half of them.
         warnings: one sentence each.
     """
 
@@ -49,20 +53,21 @@ class Tabulated:
     asymmetry: float
     reading_angles: tuple[Floats, Floats, Floats]
     readings: Floats
-    scattered: bool
+    scattered: DistinctReadings | None
     warnings: tuple[str, ...]
 
 
 def tabulate(measurement: BrdfMeasurement) -> Tabulated:
     """Put readings on a table.
 
-    Readings on a grid keep their nodes; scattered ones, or ones at several sample azimuths, are
-    regularised onto nodes 5 degrees apart.
+    Readings on a grid keep their nodes. Scattered ones, ones at several sample azimuths, and ones
+    that fill less than half of their grid are kriged onto nodes 5 degrees apart.
 
     Raises:
-        InputError: no valid reading, one value only on an axis, a grid with readings in fewer than
-            5 % of its cells, or a table too large.
+        InputError: no valid reading, one value only on an axis, readings in fewer than 5 % of the
+            cells, or a table too large.
     """
+    _check_coverage(measurement)
     every, warnings = _as_rgb(measurement)
     rgb = every.select(every.valid) if every.valid.any() else None
     if rgb is None:
@@ -76,13 +81,13 @@ def tabulate(measurement: BrdfMeasurement) -> Tabulated:
             )
     f_r = rgb.values / FACTOR_PER_SR
     grid = _uniform(every.grid()) if every.is_grid else None
-    scattered = grid is None
-    if grid is not None:
-        _check_coverage(grid, measurement)
-    if grid is None:
+    scattered = None
+    if grid is None or grid.measured.mean() < _MOSTLY:
         axes = _axis_around(angles[0]), _axis_around(angles[1]), _axis_around(angles[2])
-        weight = np.ones(len(rgb)) if rgb.count is None else rgb.count.astype(float)
-        start, measured, filled = regularise(axes, np.stack(angles, axis=1), f_r, weight)
+        scattered = gather(_as_xyz(measurement, rgb))
+        xyz, measured, filled = on_table(axes, scattered)
+        start = xyz @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
+        filled = replace(filled, values=start)
         warnings.append(_scattered_warning(rgb))
     else:
         axes, start, measured = grid.axes_deg, grid.values / FACTOR_PER_SR, grid.measured
@@ -104,16 +109,16 @@ def tabulate(measurement: BrdfMeasurement) -> Tabulated:
     )
 
 
-def _check_coverage(grid: ReadingGrid, measurement: BrdfMeasurement) -> None:
-    """Raise InputError for a grid that is nearly empty, with the advice that its file has."""
-    share = float(grid.measured.mean())
-    if share >= LEAST_COVERAGE:
+def _check_coverage(measurement: BrdfMeasurement) -> None:
+    """Raise InputError for cells that are nearly all empty, with the advice that their file has."""
+    share = float(measurement.valid.mean())
+    if not 0 < share < LEAST_COVERAGE:
         return
     advice = dict(measurement.metadata.other).get("next", "")
     raise InputError(
-        f"measurement: {100 * share:.1f} % of the {grid.measured.size} cells of its grid hold a "
-        f"reading; at least {100 * LEAST_COVERAGE:g} % were wanted, since the rest is guessed from "
-        "them; measure more" + (f", with {advice}" if advice else "")
+        f"measurement: {100 * share:.1f} % of its {len(measurement)} cells hold a reading; at least "
+        f"{100 * LEAST_COVERAGE:g} % were wanted, since the rest is guessed from them; measure more"
+        + (f", with {advice}" if advice else "")
     )
 
 
@@ -125,6 +130,13 @@ def _as_rgb(measurement: BrdfMeasurement) -> tuple[BrdfMeasurement, list[str]]:
         warning = f"the bands ({bands}) make no colour: the model is grey"
         return replace(measurement, values=grey, channels=RGB, std=None), [warning]
     return measurement.as_rgb(), []
+
+
+def _as_xyz(measurement: BrdfMeasurement, rgb: BrdfMeasurement) -> BrdfMeasurement:
+    """The valid readings, from what was measured where that makes a colour: its `std` is kept."""
+    if measurement.is_spectral and not measurement.has_colour:
+        return rgb.as_xyz()
+    return measurement.as_xyz()
 
 
 def _uniform(grid: ReadingGrid) -> ReadingGrid | None:
@@ -166,7 +178,7 @@ def _axis_around(angle: Floats) -> Floats:
 
 
 def _scattered_warning(rgb: BrdfMeasurement) -> str:
-    text = f"{len(rgb)} scattered readings were regularised onto a {SCATTERED_STEP_DEG:g} deg table"
+    text = f"{len(rgb)} scattered readings were kriged onto a {SCATTERED_STEP_DEG:g} deg table"
     if rgb.azimuths > 1:
         text += f"; the model knows no sample azimuth and takes all {rgb.azimuths} of them as one"
     return text

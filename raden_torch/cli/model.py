@@ -28,7 +28,10 @@ def fit(
     ] = None,
     interpolation: Annotated[
         str,
-        typer.Option(help="between nodes: auto, trilinear (the paper), log, ridge, cubic, lobes"),
+        typer.Option(
+            help="between nodes: auto, trilinear (the paper), log, ridge, cubic, lobes; kriging, "
+            "of scattered readings"
+        ),
     ] = "auto",
     validation: Annotated[
         Path | None, typer.Option(help="readings off the grid to choose the interpolation by")

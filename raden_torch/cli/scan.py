@@ -48,7 +48,16 @@ def scan(
     incidence: Annotated[str | None, typer.Option(help="of the grid, as 0:70, degrees")] = None,
     receiving: Annotated[str | None, typer.Option(help="of the grid, as -70:70")] = None,
     tilt: Annotated[str | None, typer.Option(help="of the grid, as -70:70")] = None,
-    readings: Annotated[int | None, typer.Option(help="how many random ones; 200")] = None,
+    readings: Annotated[
+        int | None,
+        typer.Option(help="how many random ones, 200; with --adaptive the most, 40 % of the grid"),
+    ] = None,
+    adaptive: Annotated[
+        bool, typer.Option("--adaptive", help="a coarse pass, then where a reading tells most")
+    ] = False,
+    target_error: Annotated[
+        float | None, typer.Option(help="of --adaptive: end when the estimated errors are below")
+    ] = None,
     repeats: Annotated[int | None, typer.Option(help="readings of each cell; 1")] = None,
     white_at_each: Annotated[
         bool, typer.Option("--white-at-each", help="read the white reference in every cell")
@@ -125,6 +134,8 @@ def scan(
         repeats,
         white_at_each,
         seed,
+        adaptive,
+        target_error,
     )
     scale = 1.0 if dry_run or not simulate else time_scale
     waiting = 1.0 / scale**0.5  # a simulated fault passes sooner; the computer is as slow as ever
@@ -255,7 +266,7 @@ def _say_resume(journal: JournalFile, why: str) -> None:
     typer.echo(f"raden: {' '.join(why.split())}", err=True)
     partial = "" if not contents.taken else "; --from-journal writes what there is"
     typer.echo(
-        f"raden: {len(contents.taken)} of {contents.header.plan.steps} readings are in "
+        f"raden: {len(contents.taken)} of {contents.plan.steps} readings are in "
         f"{journal.path}; go on with the same command and --resume{partial}",
         err=True,
     )
@@ -285,11 +296,11 @@ def _progress(journal: JournalFile, operator: _Operator) -> Iterator[Callable[[i
     )
     contents = journal.contents
     with Progress(*columns, console=Console(stderr=True), speed_estimate_period=600) as bar:
-        task = bar.add_task(
-            "", total=contents.header.plan.steps, completed=len(contents.taken), note=""
-        )
+        task = bar.add_task("", total=contents.plan.steps, completed=len(contents.taken), note="")
         operator.bar = bar
-        yield lambda taken, note: bar.update(task, completed=taken, note=note[:60])
+        yield lambda taken, note: bar.update(
+            task, total=contents.plan.steps, completed=taken, note=note[:60]
+        )
 
 
 def _write(contents: Contents, journal: Path, output: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import (
     Fault,
     JournalFile,
@@ -19,7 +20,7 @@ from raden_torch.capture.spectrometer.journal import (
     Session,
     read_journal,
 )
-from raden_torch.capture.spectrometer.plan import FixedPlan, Taken, grid, make_plan
+from raden_torch.capture.spectrometer.plan import FixedPlan, Taken, make_plan
 from raden_torch.capture.spectrometer.ports import ColorReading, Range, Target
 from raden_torch.errors import InputError
 

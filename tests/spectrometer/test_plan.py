@@ -11,14 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from raden_torch.capture.spectrometer.plan import (
-    FixedPlan,
-    grid,
-    list_cells,
-    make_plan,
-    plan_from_json,
-    random_cells,
-)
+from raden_torch.capture.spectrometer.cells import grid, list_cells, random_cells
+from raden_torch.capture.spectrometer.plan import FixedPlan, make_plan
+from raden_torch.capture.spectrometer.plan_json import plan_from_json
 from raden_torch.capture.spectrometer.ports import Position, Target
 from raden_torch.capture.spectrometer.travel import longest_axis_deg, short_order, travel_deg
 from raden_torch.errors import InputError

@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import Contents, JournalFile, read_journal
 from raden_torch.capture.spectrometer.lab_report import (
     check_reciprocity,
     make_report,
     with_report,
 )
-from raden_torch.capture.spectrometer.plan import FixedPlan, grid, make_plan
+from raden_torch.capture.spectrometer.plan import FixedPlan, make_plan
 from raden_torch.capture.spectrometer.ports import Position, Target
 from raden_torch.capture.spectrometer.reduction import Reduced, reduce_readings
 from raden_torch.capture.spectrometer.scan import run_scan

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import (
     JournalFile,
     read_journal,
 )
-from raden_torch.capture.spectrometer.plan import FixedPlan, grid, make_plan
+from raden_torch.capture.spectrometer.plan import FixedPlan, make_plan
 from raden_torch.capture.spectrometer.ports import (
     ConnectionLostError,
     InstrumentBusyError,

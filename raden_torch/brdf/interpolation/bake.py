@@ -37,14 +37,21 @@ class Baked:
     pieces: Pieces
 
 
-def bake(function: Reconstruction, nodes: int = NODES, seed: int = 0) -> Baked:
+def bake(
+    function: Reconstruction,
+    nodes: int = NODES,
+    seed: int = 0,
+    *,
+    like: Reconstruction | None = None,
+) -> Baked:
     """Cut the cells and write the function into the nodes.
 
     Args:
+        like: a function that is read sooner and needs the same cuts.
         nodes: the most nodes the table may have.
         seed: of the points at which the error of a cut is measured.
     """
-    pieces = allocate(function, nodes, seed)
+    pieces = allocate(like or function, nodes, seed)
     axes = [_nodes(cuts) for cuts in pieces]
     step = np.array([axis[1] - axis[0] for axis in function.axes_deg])
     first = np.array([axis[0] for axis in function.axes_deg])

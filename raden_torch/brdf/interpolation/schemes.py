@@ -23,13 +23,11 @@ from scipy.ndimage import maximum_filter
 from raden_torch.brdf.interpolation.continuation import PAD, continued
 from raden_torch.brdf.interpolation.kernels import Floats, Kernel, akima, linear
 from raden_torch.brdf.interpolation.lobes import Axes, Lobes, fit_lobes
+from raden_torch.measurement.distinct import FLOOR  # ε
 
 Ints = NDArray[np.int64]
 
-FLOOR = 10.0
-"""ε, a reflectance factor: below it the logarithm turns linear, so that noise is not blown up."""
-
-_CAP = 1.5  # no value above this times the largest of the 27 nodes around it
+CAP = 1.5  # no value above this times the largest of the 27 nodes around it
 _LUMINANCE = 1  # the channel that the lobes are fitted to: Y
 _LEAST_NODES = 5
 
@@ -66,15 +64,15 @@ class Reconstruction:
 
     Attributes:
         axes_deg: the grid's axes.
-        scheme: how it is interpolated.
-        grid: the continued grid of what is interpolated.
+        between: what is interpolated, at positions `[M, 3]` in nodes, in some of the channels.
+        log: it is the logarithm that is interpolated.
         cap: `[A, R, T, C]`, the largest value believed near each node.
-        lobes: the fitted lobes, or None.
+        lobes: the fitted lobes, which were subtracted, or None.
     """
 
     axes_deg: Axes
-    scheme: Scheme
-    grid: Floats
+    between: Callable[[Floats, slice], Floats]
+    log: bool
     cap: Floats
     lobes: Lobes | None
 
@@ -92,15 +90,24 @@ class Reconstruction:
         over = node[:, 1] - np.clip(node[:, 1], 0, len(self.axes_deg[1]) - 1)
         on_ridge = node - over[:, None] * [1.0, 1.0, 0.0]
         on_ridge[:, 0] = np.clip(on_ridge[:, 0], -1, len(self.axes_deg[0]) - 1)
-        value = self._interpolate(on_ridge, self.grid[..., channels])
+        value = self.between(on_ridge, channels)
         if self.lobes is not None:
             value = value + self.lobes(*inside.T)[:, None]
-        if self.scheme.log:
+        if self.log:
             value = np.exp(np.clip(value, -40, 40)) - FLOOR
         nearest = np.clip(np.rint(node).astype(int), 0, np.array(self.cap.shape[:3]) - 1)
         return np.clip(value, 0, self.cap[tuple(nearest.T)][:, channels])
 
-    def _interpolate(self, node: Floats, grid: Floats) -> Floats:
+
+@dataclass(frozen=True)
+class _OnGrid:
+    """Interpolation in a continued grid `[A + 2·PAD, R + 2·PAD, T + 2·PAD, C]`."""
+
+    scheme: Scheme
+    grid: Floats
+
+    def __call__(self, node: Floats, channels: slice) -> Floats:
+        grid = self.grid[..., channels]
         size = np.array(grid.shape[:3]) - 2 * PAD
         low = np.clip(np.floor(node).astype(int), 0, size - 2)
         x, y, z = (node - low).T[..., None]
@@ -151,9 +158,9 @@ def reconstruct(axes_deg: Axes, values: Floats, scheme: Scheme) -> Reconstructio
     if lobes is not None:
         grid_angles = np.meshgrid(*axes_deg, indexing="ij")
         what = what - lobes(*grid_angles)[..., None]
-    cap = _CAP * maximum_filter(np.maximum(values, 0), (3, 3, 3, 1))
+    cap = CAP * maximum_filter(np.maximum(values, 0), (3, 3, 3, 1))
     grid = continued(what, mirrored=is_mirrored(axes_deg))
-    return Reconstruction(axes_deg, scheme, grid, cap, lobes)
+    return Reconstruction(axes_deg, _OnGrid(scheme, grid), scheme.log, cap, lobes)
 
 
 def is_mirrored(axes_deg: Axes) -> bool:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.plan import FixedPlan
+from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.rig import ANGLES, GoniometerSettings, angles_of
 from raden_torch.capture.spectrometer.travel import longest_axis_deg
@@ -45,7 +45,7 @@ class Duration:
 
 
 def expected_duration(
-    plan: FixedPlan,
+    plan: Plan,
     settings: GoniometerSettings,
     white: White,
     *,
@@ -57,18 +57,19 @@ def expected_duration(
 
     The axes move together, so that a move takes its longest axis's degrees at the rig's speed; one
     that has to come from the other side first goes `approach_deg` further, and back. Accelerating
-    is left out.
+    is left out. What a plan decides on the way is not known: see `Plan.likely_cells`.
     """
+    cells = plan.likely_cells()
     feed = settings.feed_deg_per_min
     speed = settings.rapid_deg_per_s if feed is None else feed / 60
-    moves = longest_axis_deg(plan.cells)
-    from_above = _arrives_from_above(plan.cells, settings)
+    moves = longest_axis_deg(cells)
+    from_above = _arrives_from_above(cells, settings)
     moving = (moves.sum() + 2 * settings.approach_deg * from_above) / speed
-    settling = (settings.settle_s + settings.poll_s) * len(plan.cells)
+    settling = (settings.settle_s + settings.poll_s) * len(cells)
     reading = reading_s * plan.steps
     if plan.white_at_each:
-        moving += CHANGE_S * len(plan.cells)
-    there = abs(plan.cells - angles_of(white.position)).max(axis=1).mean() / speed
+        moving += CHANGE_S * len(cells)
+    there = abs(cells - angles_of(white.position)).max(axis=1).mean() / speed
     series = 2 * readings * reading_s + 2 * there + 3 * CHANGE_S
     count = 2 + int((moving + settling + reading) / every_s)
     return Duration(float(moving), settling, reading, float(count * series))

@@ -1,9 +1,10 @@
 """The scan's memory: one JSON object a line, only ever appended, on the disk before it counts.
 
 The first line is the header: format version, the plan and its hash, the settings, the instruments,
-whether they are simulated. Every later line is a `reading` of the plan, a `reference` (dark or
-white), a `fault`, or a `session` mark (started, resumed, interrupted, stopped, finished). A line
-that was cut by a crash is the last one, and is taken off when the journal is opened to go on.
+whether they are simulated. Every later line is a `reading` of the plan, a `decision` of it (which
+cells are read next, and why), a `reference` (dark or white), a `fault`, or a `session` mark
+(started, resumed, interrupted, stopped, finished). A line that was cut by a crash is the last one,
+and is taken off when the journal is opened to go on.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.plan import Plan, Step, Taken, plan_from_json
+from raden_torch.capture.spectrometer.plan import Decision, Plan, Step, Taken
+from raden_torch.capture.spectrometer.plan_json import plan_from_json
 from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range, Target
 from raden_torch.capture.spectrometer.stated import StatedUncertainty
 from raden_torch.capture.spectrometer.white import White
@@ -110,28 +112,42 @@ class Session:
     time_s: float
 
 
+Record = Taken | Decision | Reference | Fault | Session
+
+
 @dataclass
 class Contents:
     """All that a journal holds.
 
-    `whole_bytes` is where its last whole line ends, `torn_bytes` what was cut behind that.
+    `plan` is the header's, with the cells of all decisions so far. `whole_bytes` is where its last
+    whole line ends, `torn_bytes` what was cut behind that.
     """
 
     header: Header
     taken: list[Taken] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
     references: list[Reference] = field(default_factory=list)
     faults: list[Fault] = field(default_factory=list)
     sessions: list[Session] = field(default_factory=list)
     whole_bytes: int = 0
     torn_bytes: int = 0
 
+    def __post_init__(self) -> None:
+        self.plan = self.header.plan
+
     @property
     def finished(self) -> bool:
         return any(session.what == FINISHED for session in self.sessions)
 
-    def add(self, record: Taken | Reference | Fault | Session) -> None:
+    def add(self, record: Record) -> None:
+        """Raises InputError for a decision that the plan cannot have made here."""
         if isinstance(record, Taken):
             self.taken.append(record)
+        elif isinstance(record, Decision):
+            if record.after != len(self.taken) or self.plan.next_step(self.taken) is not None:
+                raise InputError("a decision before all cells were read that were known")
+            self.plan = self.plan.after(record)
+            self.decisions.append(record)
         elif isinstance(record, Reference):
             self.references.append(record)
         elif isinstance(record, Fault):
@@ -240,7 +256,7 @@ class JournalFile:
             raise InputError(f"{path}: there is no journal to resume; leave out --resume to begin")
         return cls(path, read_journal(path))
 
-    def append(self, record: Taken | Reference | Fault | Session) -> None:
+    def append(self, record: Record) -> None:
         """Put a record on the disk; it counts when this returns.
 
         Raises:
@@ -263,7 +279,7 @@ class JournalFile:
             raise
         self._count(record, size)
 
-    def _count(self, record: Taken | Reference | Fault | Session, size: int) -> None:
+    def _count(self, record: Record, size: int) -> None:
         self.contents.whole_bytes += size
         self.contents.torn_bytes = 0
         self.contents.add(record)
@@ -298,7 +314,7 @@ def _check_replay(path: Path, contents: Contents) -> None:
     """Ask the plan again for every step: what was read must be what it says, in its order."""
     so_far: list[Taken] = []
     for number, taken in enumerate(contents.taken):
-        if contents.header.plan.next_step(so_far) != taken.step:
+        if contents.plan.next_step(so_far) != taken.step:
             raise InputError(
                 f"{path}: reading {number} (cell {taken.step.cell}) is not the one that the plan "
                 "asks for there; the journal was changed"
@@ -345,7 +361,7 @@ def _header(record: dict[str, Any]) -> Header:
     return header
 
 
-def _as_json(record: Taken | Reference | Fault | Session, number: int) -> dict[str, Any]:
+def _as_json(record: Record, number: int) -> dict[str, Any]:
     if isinstance(record, Taken):
         position = record.step.position
         return {
@@ -356,6 +372,15 @@ def _as_json(record: Taken | Reference | Fault | Session, number: int) -> dict[s
             "angles_deg": [position.incidence_deg, position.receiving_deg, position.tilt_deg],
             "time_s": record.time_s,
             **_reading_as_json(record.reading),
+        }
+    if isinstance(record, Decision):
+        return {
+            "record": "decision",
+            "after": record.after,
+            "cells": record.cells.tolist(),
+            "why": record.why,
+            "estimated_rms": record.rms,
+            "estimated_log_error": record.log_error,
         }
     if isinstance(record, Reference):
         return {
@@ -381,8 +406,17 @@ def _as_json(record: Taken | Reference | Fault | Session, number: int) -> dict[s
     }
 
 
-def _record(data: dict[str, Any]) -> Taken | Reference | Fault | Session:
-    kind, time_s = data["record"], float(data["time_s"])
+def _record(data: dict[str, Any]) -> Record:
+    kind = data["record"]
+    if kind == "decision":
+        return Decision(
+            int(data["after"]),
+            np.array(data["cells"], np.float64).reshape(-1, 3),
+            str(data["why"]),
+            float(data["estimated_rms"]),
+            float(data["estimated_log_error"]),
+        )
+    time_s = float(data["time_s"])
     if kind == "reading":
         position = Position(*(float(angle) for angle in data["angles_deg"]))
         step = Step(int(data["cell"]), position, Target(data["target"]))

@@ -10,7 +10,6 @@ from typing import cast
 import numpy as np
 
 from raden_torch.capture.spectrometer.journal import Contents
-from raden_torch.capture.spectrometer.plan import FixedPlan
 from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.reduction import Reduced
 from raden_torch.measurement import BrdfMeasurement
@@ -39,6 +38,7 @@ class LabReport:
 
     Attributes:
         sample, goniometer, colorimeter, white, plan: by name.
+        decisions: what the plan decided on the way, in words.
         simulated: True where the instruments were.
         started: date and time in UTC.
         hours: from the first to the last reading, interruptions included.
@@ -70,6 +70,7 @@ class LabReport:
     white: str
     plan: str
     plan_hash: str
+    decisions: str
     simulated: bool
     started: str
     hours: float
@@ -110,6 +111,7 @@ class LabReport:
         return (
             ("scan", f"{self.sample or 'unnamed sample'}, {self.plan}{kind}"),
             ("plan hash", self.plan_hash),
+            *([("decisions", self.decisions)] if self.decisions else []),
             ("goniometer", self.goniometer),
             ("colorimeter", self.colorimeter),
             ("started", f"{self.started}, {self.hours:.2f} h, sessions {self.sessions}"),
@@ -180,8 +182,7 @@ def with_report(measurement: BrdfMeasurement, report: LabReport) -> BrdfMeasurem
 
 def make_report(contents: Contents, reduced: Reduced) -> LabReport:
     """Everything that `LabReport` lists."""
-    header, m = contents.header, reduced.measurement
-    plan = cast(FixedPlan, header.plan)
+    header, plan, m = contents.header, contents.plan, reduced.measurement
     times = [t.time_s for t in contents.taken] + [r.time_s for r in contents.references]
     level = reduced.white_level[:, 1]
     y, std = m.values[m.valid, 1], cast(Floats, m.std)[m.valid, 1]
@@ -199,7 +200,8 @@ def make_report(contents: Contents, reduced: Reduced) -> LabReport:
         colorimeter=header.colorimeter,
         white=f"{header.white.name}, {where}",
         plan=plan.name,
-        plan_hash=plan.hash,
+        plan_hash=header.plan.hash,
+        decisions=_decisions(contents),
         simulated=header.simulated,
         started=header.started,
         hours=(max(times) - min(times)) / 3600,
@@ -267,6 +269,20 @@ def check_reciprocity(measurement: BrdfMeasurement) -> Reciprocity:
 def now_utc() -> str:
     """Date and time, to the second."""
     return datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
+
+
+def _decisions(contents: Contents) -> str:
+    """Empty where there are none."""
+    if not contents.decisions:
+        return ""
+    last = contents.decisions[-1]
+    batches = sum(len(decision.cells) > 0 for decision in contents.decisions)
+    ended = "; " + last.why if not len(last.cells) else ""
+    return (
+        f"{len(contents.header.plan.cells)} cells first, then {batches} batches; estimated error "
+        f"after {last.after} readings: RMS {last.rms:.5f} of the 99.9 % quantile of Y, mean "
+        f"|Δ log(1+Y)| {last.log_error:.5f}{ended}"
+    )
 
 
 def _keys(angles: Floats) -> list[tuple[float, ...]]:

@@ -1,43 +1,27 @@
 """What is read, and in which order?
 
-A plan is asked for its next step with all readings that were taken so far. A fixed plan looks only
-at how many there are; one that decides from their values asks the same question and gets the same
-answer when a journal is replayed.
+A plan is asked for its next step with all readings that were taken so far. When all its cells are
+read, it is asked whether it decides on more of them; a fixed plan does not. A decision is kept in
+the journal and makes a plan with more cells: nothing is decided again when a journal is replayed.
 """
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
-import math
-import os
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from typing import Any, final
 
-import numpy as np
-from numpy.typing import ArrayLike
-
+from raden_torch.capture.spectrometer.cells import Reachable, checked_cells, within_reach
 from raden_torch.capture.spectrometer.ports import ColorReading, Floats, Position, Target
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
 from raden_torch.errors import InputError
+from raden_torch.measurement import BrdfMeasurement
 
-MAX_ANGLE_DEG = 70.0
-MAX_CELLS = 1_000_000
 MAX_REPEATS = 100
-RANDOM_READINGS = 200
-
-_ANGLES = ("incidence_deg", "receiving_deg", "tilt_deg")
-_LOWEST_DEG = (0.0, -90.0, -90.0)  # and below 90
-_MAX_LIST_BYTES = 100_000_000
-_DIGITS = 6
-
-Reachable = Callable[[Position], "str | None"]
-"""Why a rig cannot go to a position; None where it can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,39 +42,33 @@ class Taken:
     time_s: float
 
 
-class Plan(ABC):
-    """Decides what is read next. The same readings always lead to the same step."""
+@dataclass(frozen=True)
+class Decision:
+    """Further cells, and why.
 
-    name: str
-    """What the plan is, for people."""
+    Attributes:
+        after: how many readings had been taken.
+        cells: `[K, 3]` what is read next, in that order; none where the plan is at its end.
+        why: one sentence.
+        rms: estimated RMS error of Y over its 99.9 % quantile, of a fit to the readings so far.
+        log_error: estimated mean |Δ log(1 + Y)|.
+    """
 
-    @property
-    @abstractmethod
-    def steps(self) -> int:
-        """How many readings it takes at most."""
-
-    @abstractmethod
-    def next_step(self, taken: Sequence[Taken]) -> Step | None:
-        """The step after these readings; None where nothing is left to read."""
-
-    @abstractmethod
-    def as_json(self) -> dict[str, Any]:
-        """Everything that is needed to make an equal plan again, as plain JSON values."""
-
-    @property
-    def hash(self) -> str:
-        """SHA-256 of `as_json`."""
-        text = json.dumps(self.as_json(), sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+    after: int
+    cells: Floats
+    why: str
+    rms: float
+    log_error: float
 
 
 @dataclass(frozen=True, eq=False)
-class FixedPlan(Plan):
-    """Cells that are known beforehand, in the order of measuring.
+class Plan(ABC):
+    """Decides what is read next. The same readings and decisions always lead to the same step.
 
     Attributes:
         name: what it is, for people.
-        cells: `[M, 3]` incidence, receiving and tilt in degrees.
+        cells: `[M, 3]` incidence, receiving and tilt in degrees, in the order of measuring: all
+            that are known so far.
         repeats: how many readings of each cell, one after another.
         white_at_each: also read the white reference at every cell, once; the cells take turns in
             what comes first, so that it is changed once a cell.
@@ -106,11 +84,52 @@ class FixedPlan(Plan):
     as_given_deg: float = 0.0
 
     @property
+    @abstractmethod
     def steps(self) -> int:
-        return len(self.cells) * self._per_cell
+        """How many readings it takes at most."""
 
     @property
-    def _per_cell(self) -> int:
+    @abstractmethod
+    def may_read(self) -> Floats:
+        """`[N, 3]` the cells that it reads, or may decide to read."""
+
+    @abstractmethod
+    def likely_cells(self) -> Floats:
+        """`[N, 3]` as many cells as it reads at most, for a forecast of travel and time."""
+
+    @abstractmethod
+    def decide(self, taken: int, readings: Callable[[], BrdfMeasurement]) -> Decision | None:
+        """What is read once all `cells` are; None where nothing more is to be decided.
+
+        Args:
+            taken: how many readings there are.
+            readings: makes reflectance factors of them.
+        """
+
+    @abstractmethod
+    def after(self, decision: Decision) -> Plan:
+        """The plan with a decision's cells.
+
+        Raises:
+            InputError: it is not one that this plan can have made.
+        """
+
+    @abstractmethod
+    def as_json(self) -> dict[str, Any]:
+        """Everything that is needed to make an equal plan again, as plain JSON values."""
+
+    def next_step(self, taken: Sequence[Taken]) -> Step | None:
+        """The step after these readings; None where all cells are read."""
+        cell, turn = divmod(len(taken), self.per_cell)
+        if cell >= len(self.cells):
+            return None
+        white_turn = -1 if not self.white_at_each else self.repeats if cell % 2 == 0 else 0
+        target = Target.WHITE if turn == white_turn else Target.SAMPLE
+        return Step(cell, Position(*self.cells[cell].tolist()), target)
+
+    @property
+    def per_cell(self) -> int:
+        """How many readings a cell takes."""
         return self.repeats + self.white_at_each
 
     @property
@@ -118,122 +137,77 @@ class FixedPlan(Plan):
         """Degrees of travel in the order of measuring, summed over the axes."""
         return travel_deg(self.cells)
 
-    def next_step(self, taken: Sequence[Taken]) -> Step | None:
-        cell, turn = divmod(len(taken), self._per_cell)
-        if cell >= len(self.cells):
-            return None
-        white_turn = -1 if not self.white_at_each else self.repeats if cell % 2 == 0 else 0
-        target = Target.WHITE if turn == white_turn else Target.SAMPLE
-        return Step(cell, Position(*self.cells[cell].tolist()), target)
-
     def why_excluded(self) -> dict[str, int]:
         """How many cells were left out, by reason."""
         return dict(Counter(reason for _, reason in self.excluded))
 
-    def as_json(self) -> dict[str, Any]:
-        return {
-            "kind": "fixed",
-            "name": self.name,
-            "cells": self.cells.tolist(),
-            "repeats": self.repeats,
-            "white_at_each": self.white_at_each,
-            "excluded": [[*_angles(position), reason] for position, reason in self.excluded],
-            "as_given_deg": self.as_given_deg,
-        }
+    @property
+    def hash(self) -> str:
+        """SHA-256 of `as_json`."""
+        text = json.dumps(self.as_json(), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
 
-
-def plan_from_json(data: Any) -> FixedPlan:
-    """The plan that `as_json` describes.
-
-    Raises:
-        InputError: it is not one.
-    """
-    try:
-        if data["kind"] != "fixed":
-            raise InputError(f"plan: kind {data['kind']!r} is not known; fixed is")
-        excluded = tuple((Position(a, r, t), str(why)) for a, r, t, why in data["excluded"])
-        plan = FixedPlan(
-            str(data["name"]),
-            _checked(data["cells"], "plan"),
-            int(data["repeats"]),
-            bool(data["white_at_each"]),
-            excluded,
-            float(data["as_given_deg"]),
+    def difference(self, other: Plan) -> str:
+        """What differs between this plan and another, in words; empty where nothing does."""
+        ours, theirs = self.as_json(), other.as_json()
+        return "; ".join(
+            f"{name.replace('_', ' ')}: {_in_words(ours.get(name), theirs.get(name))}"
+            for name in dict.fromkeys((*ours, *theirs))
+            if ours.get(name) != theirs.get(name)
         )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"plan: {type(error).__name__} {error}; not what a scan wrote") from None
-    return plan
 
 
-def grid(
-    *,
-    step_deg: float = 5.0,
-    incidence: tuple[float, float] = (0.0, MAX_ANGLE_DEG),
-    receiving: tuple[float, float] = (-MAX_ANGLE_DEG, MAX_ANGLE_DEG),
-    tilt: tuple[float, float] = (-MAX_ANGLE_DEG, MAX_ANGLE_DEG),
-) -> Floats:
-    """`[M, 3]` the cells of a grid in nested order, tilt fastest; by default the full one, 12,615.
+@final
+class FixedPlan(Plan):
+    """Cells that are known beforehand."""
 
-    Args:
-        step_deg: degrees from node to node, on each axis.
-        incidence, receiving, tilt: first and last node in degrees.
+    @property
+    def steps(self) -> int:
+        return len(self.cells) * self.per_cell
 
-    Raises:
-        InputError: limits that are reversed, out of range or not a whole number of steps apart.
-    """
-    if not (math.isfinite(step_deg) and step_deg > 0):
-        raise InputError(f"step = {step_deg:g} deg; more than 0 was wanted")
-    named = zip(_ANGLES, (incidence, receiving, tilt), strict=True)
-    axes = [_axis(name, *limits, step_deg) for name, limits in named]
-    count = math.prod(len(axis) for axis in axes)
-    if count > MAX_CELLS:
-        raise InputError(f"a step of {step_deg:g} deg makes {count} cells; at most {MAX_CELLS}")
-    return _checked(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), "grid")
+    @property
+    def may_read(self) -> Floats:
+        return self.cells
 
+    def likely_cells(self) -> Floats:
+        return self.cells
 
-def random_cells(count: int = RANDOM_READINGS, *, seed: int = 0) -> Floats:
-    """`[count, 3]` cells drawn evenly from the box of the full grid, to a hundredth of a degree.
+    def decide(self, taken: int, readings: Callable[[], BrdfMeasurement]) -> Decision | None:
+        return None
 
-    Readings off the grid, to check what was interpolated between its nodes.
-    """
-    if not 1 <= count <= MAX_CELLS:
-        raise InputError(f"{count} random readings; 1…{MAX_CELLS} was wanted")
-    drawn = np.random.default_rng(seed).random((count, 3))
-    return np.asarray(np.round(drawn * [70.0, 140.0, 140.0] - [0.0, 70.0, 70.0], 2))
+    def after(self, decision: Decision) -> Plan:
+        raise InputError("a decision; this plan has fixed cells and takes none")
+
+    def as_json(self) -> dict[str, Any]:
+        return {"kind": "fixed", **cells_as_json(self)}
 
 
-def list_cells(path: str | os.PathLike[str]) -> Floats:
-    """`[M, 3]` the cells of a CSV file with columns incidence_deg, receiving_deg and tilt_deg.
+def cells_as_json(plan: Plan) -> dict[str, Any]:
+    """What every plan is made of."""
+    return {
+        "name": plan.name,
+        "cells": plan.cells.tolist(),
+        "repeats": plan.repeats,
+        "white_at_each": plan.white_at_each,
+        "excluded": [[*_angles(position), reason] for position, reason in plan.excluded],
+        "as_given_deg": plan.as_given_deg,
+    }
 
-    Further columns, and lines that begin with #, are passed over: a measurement is a list, too.
+
+def cells_from_json(data: Any) -> dict[str, Any]:
+    """The arguments of a plan, out of what `cells_as_json` wrote.
 
     Raises:
-        InputError: one line that names the file and line.
+        InputError: cells that are none. Also KeyError, TypeError, ValueError.
     """
-    path = Path(path)
-    if path.stat().st_size > _MAX_LIST_BYTES:
-        raise InputError(f"{path}: over {_MAX_LIST_BYTES // 1_000_000} MB; a list of cells wanted")
-    try:
-        lines = path.read_text("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text; a CSV file was wanted") from None
-    numbered = [
-        (i, line) for i, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != "#"
-    ]
-    rows = csv.reader(line for _, line in numbered)
-    columns = [name.strip() for name in next(rows, [])]
-    if not set(_ANGLES) <= set(columns):
-        raise InputError(f"{path}: columns {','.join(_ANGLES)} were wanted in its first line")
-    places = [columns.index(name) for name in _ANGLES]
-    cells = []
-    for (line, _), row in zip(numbered[1:], rows, strict=False):
-        try:
-            cells.append([float(row[place]) for place in places])
-        except (ValueError, IndexError):
-            raise InputError(f"{path}: line {line}: three angles in degrees were wanted") from None
-    if not cells:
-        raise InputError(f"{path}: it lists no cells")
-    return _checked(cells, str(path))
+    return {
+        "name": str(data["name"]),
+        "cells": checked_cells(data["cells"], "plan"),
+        "repeats": int(data["repeats"]),
+        "white_at_each": bool(data["white_at_each"]),
+        "excluded": tuple((Position(a, r, t), str(why)) for a, r, t, why in data["excluded"]),
+        "as_given_deg": float(data["as_given_deg"]),
+    }
 
 
 def make_plan(
@@ -249,64 +223,31 @@ def make_plan(
     Raises:
         InputError: nothing is left, or `repeats` is out of its range.
     """
-    if not 1 <= repeats <= MAX_REPEATS:
-        raise InputError(f"repeats = {repeats}; 1…{MAX_REPEATS} was wanted")
-    reasons = [reachable(Position(*cell)) for cell in cells.tolist()]
-    within = np.array([reason is None for reason in reasons])
-    excluded = tuple(
-        (Position(*cell), reason)
-        for cell, reason in zip(cells.tolist(), reasons, strict=True)
-        if reason is not None
-    )
-    if not within.any():
-        raise InputError(f"{name}: the rig can reach none of the cells ({excluded[0][1]})")
-    kept = cells[within]
+    kept, excluded = within_reach(cells, name, reachable)
     return FixedPlan(
         name,
         kept[short_order(kept)],
-        repeats,
+        checked_repeats(repeats),
         white_at_each,
         excluded,
         travel_deg(kept),
     )
 
 
-def _axis(name: str, first: float, last: float, step: float) -> Floats:
-    if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-        raise InputError(f"{name} {first:g}…{last:g}: from low to high was wanted")
-    steps = round((last - first) / step)
-    if not math.isclose(steps * step, last - first, abs_tol=1e-9):
-        raise InputError(f"{name} {first:g}…{last:g}: not a whole number of steps of {step:g} deg")
-    if steps > MAX_CELLS:
-        raise InputError(f"{name}: {steps} steps; at most {MAX_CELLS}")
-    return np.round(np.linspace(first, last, steps + 1), _DIGITS)
-
-
-def _checked(cells: ArrayLike, where: str) -> Floats:
-    """The cells as `[M, 3]`; angles in range, none twice."""
-    array = np.asarray(cells, np.float64)
-    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
-        raise InputError(f"{where}: cells of shape {list(array.shape)}; [M, 3] was wanted")
-    if len(array) > MAX_CELLS:
-        raise InputError(f"{where}: {len(array)} cells; at most {MAX_CELLS}")
-    wrong = ~((array >= _LOWEST_DEG) & (array < 90) & (array > -90)).all(axis=1)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InputError(
-            f"{where}: cell {row + 1} is {array[row].tolist()}; incidence from 0 and receiving "
-            "and tilt from -90 to below 90 degrees were wanted"
-        )
-    _, first, count = np.unique(
-        np.round(array, _DIGITS), axis=0, return_index=True, return_counts=True
-    )
-    if (count > 1).any():
-        row = int(first[np.argmax(count > 1)])
-        raise InputError(
-            f"{where}: cell {row + 1}, {array[row].tolist()}, is there twice; for several readings "
-            "of a cell ask for repeats"
-        )
-    return array
+def checked_repeats(repeats: int) -> int:
+    """Raises InputError where it is out of its range."""
+    if not 1 <= repeats <= MAX_REPEATS:
+        raise InputError(f"repeats = {repeats}; 1…{MAX_REPEATS} was wanted")
+    return repeats
 
 
 def _angles(position: Position) -> tuple[float, float, float]:
     return position.incidence_deg, position.receiving_deg, position.tilt_deg
+
+
+def _in_words(ours: Any, theirs: Any) -> str:
+    if not (isinstance(ours, list) and isinstance(theirs, list)):
+        return f"{ours!r} and {theirs!r}"
+    if len(ours) != len(theirs):
+        return f"{len(ours)} and {len(theirs)} of them"
+    return f"{sum(a != b for a, b in zip(ours, theirs, strict=True))} of {len(ours)} differ"

@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from raden_torch.capture.spectrometer.plan import (
+from raden_torch.capture.spectrometer.adaptive import BUDGET_SHARE, make_adaptive_plan
+from raden_torch.capture.spectrometer.cells import (
     RANDOM_READINGS,
-    FixedPlan,
     Reachable,
     grid,
     list_cells,
-    make_plan,
     random_cells,
 )
+from raden_torch.capture.spectrometer.plan import Plan, make_plan
+from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.errors import InputError
 
 GRID_STEP_DEG = 5.0
@@ -27,10 +28,12 @@ class PlanChoice:
         kind: "full", "random", or the path of a CSV file of cells.
         step_deg: of the grid.
         incidence, receiving, tilt: first and last node of the grid.
-        readings: how many random ones.
+        readings: how many random ones; the budget of an adaptive plan.
         repeats: readings of each cell.
         white_at_each: read the white reference in every cell.
         seed: of the random cells.
+        adaptive: the grid's step is halved, and where to read is decided on the way.
+        target: an adaptive plan ends when its estimated errors are below this.
     """
 
     kind: str | None = None
@@ -42,39 +45,72 @@ class PlanChoice:
     repeats: int | None = None
     white_at_each: bool = False
     seed: int = 0
+    adaptive: bool = False
+    target: float | None = None
 
     @property
     def is_made(self) -> bool:
         """Whether anything was said that shapes a plan."""
         return self != PlanChoice(seed=self.seed)
 
-    def plan(self, reachable: Reachable) -> FixedPlan:
+    def plan(self, reachable: Reachable) -> Plan:
         """The cells, without those that cannot be reached, in an order of little motion.
 
         Raises:
             InputError: the choices contradict each other, or the list of cells cannot be read.
         """
-        kind = self.kind or "full"
-        step_deg = GRID_STEP_DEG if self.step_deg is None else self.step_deg
+        self._check()
+        repeats = 1 if self.repeats is None else self.repeats
+        if self.adaptive:
+            share = round(BUDGET_SHARE * len(self._grid()) * repeats)
+            return make_adaptive_plan(
+                self._grid(halved=True),
+                f"adaptive, between nodes of {self._step_deg:g} deg",
+                reachable=reachable,
+                repeats=repeats,
+                readings=share if self.readings is None else self.readings,
+                target=self.target,
+            )
+        cells, name = self._cells()
+        return make_plan(
+            cells, name, reachable=reachable, repeats=repeats, white_at_each=self.white_at_each
+        )
+
+    @property
+    def _step_deg(self) -> float:
+        return GRID_STEP_DEG if self.step_deg is None else self.step_deg
+
+    def _limits(self) -> dict[str, tuple[float, float]]:
         named = ("incidence", self.incidence), ("receiving", self.receiving), ("tilt", self.tilt)
-        limits = {name: pair for name, pair in named if pair is not None}
-        if kind != "full" and (self.step_deg is not None or limits):
+        return {name: pair for name, pair in named if pair is not None}
+
+    def _check(self) -> None:
+        kind = self.kind or "full"
+        if kind != "full" and (self.step_deg is not None or self._limits()):
             raise InputError(
                 f"--step and limits of angles shape a grid; they do not go with {kind}"
             )
-        if kind != "random" and self.readings is not None:
-            raise InputError("--readings goes with --plan random")
+        if kind != "random" and not self.adaptive and self.readings is not None:
+            raise InputError("--readings goes with --plan random or --adaptive")
+        if self.target is not None and not self.adaptive:
+            raise InputError("--target-error goes with --adaptive")
+        if self.adaptive and kind != "full":
+            raise InputError(f"--adaptive refines a grid; it does not go with {kind}")
+        if self.adaptive and self.white_at_each:
+            raise InputError(
+                "--white-at-each needs to know the cells beforehand; it does not go with --adaptive"
+            )
+
+    def _cells(self) -> tuple[Floats, str]:
+        """The cells of a plan that is fixed, and its name."""
+        kind = self.kind or "full"
         if kind == "full":
-            cells, name = grid(step_deg=step_deg, **limits), f"grid of {step_deg:g} deg"
-        elif kind == "random":
+            return self._grid(), f"grid of {self._step_deg:g} deg"
+        if kind == "random":
             count = RANDOM_READINGS if self.readings is None else self.readings
-            cells, name = random_cells(count, seed=self.seed), f"random, seed {self.seed}"
-        else:
-            cells, name = list_cells(Path(kind)), Path(kind).name
-        return make_plan(
-            cells,
-            name,
-            reachable=reachable,
-            repeats=1 if self.repeats is None else self.repeats,
-            white_at_each=self.white_at_each,
-        )
+            return random_cells(count, seed=self.seed), f"random, seed {self.seed}"
+        return list_cells(Path(kind)), Path(kind).name
+
+    def _grid(self, *, halved: bool = False) -> Floats:
+        grid(step_deg=self._step_deg, **self._limits())  # a wrong step is told as it was given
+        return grid(step_deg=self._step_deg / 2 if halved else self._step_deg, **self._limits())

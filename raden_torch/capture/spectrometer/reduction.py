@@ -17,7 +17,7 @@ otherwise as good as a von Kries adaptation.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from raden_torch.capture.spectrometer.budget import (
     white_move_std,
 )
 from raden_torch.capture.spectrometer.journal import Contents, Header, Reference
-from raden_torch.capture.spectrometer.plan import FixedPlan, Taken
+from raden_torch.capture.spectrometer.plan import Plan, Taken
 from raden_torch.capture.spectrometer.ports import ColorReading, Floats, Position, Range, Target
 from raden_torch.capture.spectrometer.stated import StatedUncertainty
 from raden_torch.errors import InputError
@@ -83,9 +83,7 @@ def reduce_readings(contents: Contents) -> Reduced:
         InputError: no dark or white series, a white that gives no light, no reading in range, or
             readings that contradict each other (`contradictions`).
     """
-    header, plan = contents.header, contents.header.plan
-    if not isinstance(plan, FixedPlan):
-        raise InputError(f"plan {plan.name}: has no fixed cells; only such a plan is reduced")
+    header, plan = contents.header, contents.plan
     lamp = _Lamp(contents)
     taken = [t for t in contents.taken if t.step.target is Target.SAMPLE]
     cells = plan.cells
@@ -296,7 +294,7 @@ def _whites_by_cell(
 
 def _sorted(
     contents: Contents,
-    plan: FixedPlan,
+    plan: Plan,
     lamp: _Lamp,
     values: Floats,
     terms: _ReadingTerms,
@@ -363,8 +361,7 @@ def _out_of_range(contents: Contents, which: Range) -> NDArray[np.int64]:
         for t in contents.taken
         if t.reading.range is which and t.step.target is Target.SAMPLE
     ]
-    cells = len(cast(FixedPlan, contents.header.plan).cells)
-    return np.bincount(np.array(found, np.int64), minlength=cells)
+    return np.bincount(np.array(found, np.int64), minlength=len(contents.plan.cells))
 
 
 def _angles(position: Position) -> tuple[float, float, float]:

@@ -37,6 +37,7 @@ from raden_torch.capture.spectrometer.ports import (
     Range,
     Target,
 )
+from raden_torch.capture.spectrometer.reduction import reduce_readings
 from raden_torch.errors import InputError
 
 POSITION_TOLERANCE_DEG = 0.1
@@ -84,9 +85,9 @@ def check_resumable(journal: JournalFile, header: Header) -> None:
     kept = journal.contents.header
     if kept.plan.hash != header.plan.hash:
         raise InputError(
-            f"{journal.path}: is of another plan ({kept.plan.name}, {kept.plan.hash[:12]}…) than "
-            f"this ({header.plan.name}, {header.plan.hash[:12]}…); leave out the plan's options "
-            "to go on with it, or begin a new scan"
+            f"{journal.path}: is of another plan ({kept.plan.name}) than this "
+            f"({header.plan.name}): {kept.plan.difference(header.plan)}; leave out the plan's "
+            "options to go on with it, or begin a new scan"
         )
     for what in ("simulated", "goniometer", "colorimeter", "white", "sample"):
         before, now = getattr(kept, what), getattr(header, what)
@@ -188,13 +189,26 @@ class _Scan:
         self.may_home = self.must_home = False
 
     def to_the_end(self) -> None:
-        contents = self.journal.contents
-        plan = contents.header.plan
-        while (step := plan.next_step(contents.taken)) is not None:
+        while (step := self._next_step()) is not None:
             if self._references_due():
                 self._read_references()
             self._take(step)
         self._read_references()
+
+    def _next_step(self) -> Step | None:
+        """What the plan asks for; a decision that leads there is on the disk before it counts."""
+        contents = self.journal.contents
+        step = contents.plan.next_step(contents.taken)
+        if step is not None:
+            return step
+        decision = contents.plan.decide(
+            len(contents.taken), lambda: reduce_readings(contents).measurement
+        )
+        if decision is None:
+            return None
+        self.journal.append(decision)
+        self.on_step(len(contents.taken), decision.why)
+        return contents.plan.next_step(contents.taken)
 
     def _take(self, step: Step) -> None:
         reading = self._tried(step.position, step.target)

@@ -12,7 +12,7 @@ from types import FrameType
 from raden_torch.capture.spectrometer import duration
 from raden_torch.capture.spectrometer.journal import Header, JournalFile
 from raden_torch.capture.spectrometer.lab_report import now_utc
-from raden_torch.capture.spectrometer.plan import FixedPlan, Plan
+from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.ports import (
     Colorimeter,
     ColorReading,
@@ -24,6 +24,7 @@ from raden_torch.capture.spectrometer.ports import (
 )
 from raden_torch.capture.spectrometer.rig import Ask, Rig
 from raden_torch.capture.spectrometer.scan import check_resumable
+from raden_torch.capture.spectrometer.travel import travel_deg
 from raden_torch.capture.spectrometer.white import Triple, White
 from raden_torch.errors import InputError
 
@@ -86,7 +87,7 @@ def open_instruments(rig: Rig, ask: Ask | None = None) -> Iterator[Instruments]:
         yield Instruments(goniometer, colorimeter)
 
 
-def white_of(rig: Rig, plan: FixedPlan) -> White:
+def white_of(rig: Rig, plan: Plan) -> White:
     """The rig's white reference, as this plan uses it.
 
     Raises:
@@ -110,7 +111,7 @@ def open_journal(
     path: Path,
     rig: Rig,
     instruments: Instruments,
-    plan: FixedPlan | None,
+    plan: Plan | None,
     *,
     references: References,
     sample: str | None,
@@ -133,10 +134,10 @@ def open_journal(
     journal = JournalFile.resume(path)
     try:
         kept = journal.contents.header
-        own = plan or _fixed(kept.plan)
+        own = plan or kept.plan
         name = kept.sample if sample is None else sample
         check_resumable(journal, _header(rig, instruments, own, references, name))
-        for cell in own.cells.tolist():
+        for cell in own.may_read.tolist():
             reason = rig.reachable(Position(*cell))
             if reason is not None:
                 raise InputError(f"{path}: its cell {cell} is out of reach now: {reason}")
@@ -147,7 +148,7 @@ def open_journal(
 
 
 def forecast(
-    rig: Rig, plan: FixedPlan, references: References, *, reading_s: float = duration.READING_S
+    rig: Rig, plan: Plan, references: References, *, reading_s: float = duration.READING_S
 ) -> Iterator[str]:
     """What a plan reads, how far it travels and how long it takes; no instrument is needed.
 
@@ -162,14 +163,20 @@ def forecast(
         readings=references.readings,
         reading_s=reading_s,
     )
-    yield f"{rig.name}: {plan.name}, {len(plan.cells)} cells, {plan.steps} readings"
+    cells = plan.likely_cells()
+    known = len(cells) == len(plan.cells)
+    most = "" if known else f"at most, {len(plan.cells)} cells first; "
+    yield f"{rig.name}: {plan.name}, {most}{len(cells)} cells, {plan.steps} readings"
     for reason, count in plan.why_excluded().items():
         yield f"excluded: {count} cells: {reason}"
-    yield (
-        f"travel: {plan.travel_deg:.0f} deg summed over the axes; in the order given "
-        f"{plan.as_given_deg:.0f} ({plan.as_given_deg / max(plan.travel_deg, 1e-9):.2g} times)"
-    )
-    yield f"expected: {expected}"
+    if known:
+        yield (
+            f"travel: {plan.travel_deg:.0f} deg summed over the axes; in the order given "
+            f"{plan.as_given_deg:.0f} ({plan.as_given_deg / max(plan.travel_deg, 1e-9):.2g} times)"
+        )
+    else:
+        yield f"travel: at most {travel_deg(cells):.0f} deg summed over the axes"
+    yield f"expected{'' if known else ' at most'}: {expected}"
     yield (
         f"counted with {reading_s:g} s a reading, {duration.CHANGE_S:g} s a change of sample and "
         "white, the rig's speed and settling time, dark and white "
@@ -234,7 +241,7 @@ def signals_interrupt() -> Iterator[None]:
 
 
 def _header(
-    rig: Rig, instruments: Instruments, plan: FixedPlan, references: References, sample: str
+    rig: Rig, instruments: Instruments, plan: Plan, references: References, sample: str
 ) -> Header:
     return Header(
         plan=plan,
@@ -248,12 +255,6 @@ def _header(
         started=now_utc(),
         stated=rig.stated,
     )
-
-
-def _fixed(plan: Plan) -> FixedPlan:
-    if not isinstance(plan, FixedPlan):
-        raise InputError(f"plan {plan.name}: has no fixed cells; it cannot be resumed here")
-    return plan
 
 
 def _closed(instrument: Goniometer | Colorimeter) -> None:
