@@ -23,7 +23,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from raden_torch.capture.photo.brdf.cell_fit import NodeValues
+from raden_torch.capture.photo.brdf.cell_sums import NodeValues
 from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
 from raden_torch.capture.photo.brdf.white import Scale
 
