@@ -10,7 +10,7 @@ from raden_torch.brdf.fill import Bools, Floats, fill
 from raden_torch.brdf.regularise import regularise
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
-from raden_torch.measurement.readings import FACTOR_PER_SR, RGB
+from raden_torch.measurement.readings import FACTOR_PER_SR, LEAST_COVERAGE, RGB
 
 __all__ = ["Floats", "Tabulated", "tabulate"]
 
@@ -60,7 +60,8 @@ def tabulate(measurement: BrdfMeasurement) -> Tabulated:
     regularised onto nodes 5 degrees apart.
 
     Raises:
-        InputError: no valid reading, one value only on an axis, or a table too large.
+        InputError: no valid reading, one value only on an axis, a grid with readings in fewer than
+            5 % of its cells, or a table too large.
     """
     every, warnings = _as_rgb(measurement)
     rgb = every.select(every.valid) if every.valid.any() else None
@@ -76,6 +77,8 @@ def tabulate(measurement: BrdfMeasurement) -> Tabulated:
     f_r = rgb.values / FACTOR_PER_SR
     grid = _uniform(every.grid()) if every.is_grid else None
     scattered = grid is None
+    if grid is not None:
+        _check_coverage(grid, measurement)
     if grid is None:
         axes = _axis_around(angles[0]), _axis_around(angles[1]), _axis_around(angles[2])
         weight = np.ones(len(rgb)) if rgb.count is None else rgb.count.astype(float)
@@ -98,6 +101,19 @@ def tabulate(measurement: BrdfMeasurement) -> Tabulated:
         readings=f_r,
         scattered=scattered,
         warnings=tuple(warnings),
+    )
+
+
+def _check_coverage(grid: ReadingGrid, measurement: BrdfMeasurement) -> None:
+    """Raise InputError for a grid that is nearly empty, with the advice that its file has."""
+    share = float(grid.measured.mean())
+    if share >= LEAST_COVERAGE:
+        return
+    advice = dict(measurement.metadata.other).get("next", "")
+    raise InputError(
+        f"measurement: {100 * share:.1f} % of the {grid.measured.size} cells of its grid hold a "
+        f"reading; at least {100 * LEAST_COVERAGE:g} % were wanted, since the rest is guessed from "
+        "them; measure more" + (f", with {advice}" if advice else "")
     )
 
 

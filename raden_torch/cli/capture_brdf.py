@@ -82,6 +82,9 @@ def brdf(
     white_std: Annotated[
         float, typer.Option(help="standard uncertainty of its factor, per cent (k = 1)")
     ] = 0.0,
+    white_name: Annotated[
+        str, typer.Option(help="of the reference: measurements that name the same share its error")
+    ] = "",
     white_normal: Annotated[
         str | None,
         typer.Option(help="x,y,z in the camera's frame; else the board's, or to the camera"),
@@ -159,7 +162,7 @@ def brdf(
         shape.value, mask, _corners("--region", region), radius, _corners("--axis", axis, 2)
     )
     patch, factor = chart_white(
-        colour if white_chart else None, white_factor, white_file, white_std
+        colour if white_chart else None, white_factor, white_file, white_std, white_name
     )
     white = WhiteSpec(
         white_mask,

@@ -22,6 +22,8 @@ WHITE_LEVEL = 100.0
 """The perfect reflecting diffuser's value, in every geometry and channel."""
 FACTOR_PER_SR = WHITE_LEVEL * np.pi
 """The reflectance factor of f_r = 1/sr: R = 100 π f_r."""
+LEAST_COVERAGE = 0.05
+"""Share of a grid's cells with a reading below which it is too little for a model."""
 
 _ANGLE_LIMITS = {"incidence": (0.0, 90.0), "receiving": (-90.0, 90.0), "tilt": (-90.0, 90.0)}
 _ANGLE_DIGITS = 6  # two readings within 5e-7 degree of each other have the same geometry

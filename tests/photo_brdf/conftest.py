@@ -12,6 +12,9 @@ import cv2
 import numpy as np
 import pytest
 
+from raden_torch.capture.photo.brdf.cells import CellGrid
+from raden_torch.capture.photo.capture_brdf import CapturedBrdf, capture_brdf
+
 Array = np.ndarray
 Y_DOWN = np.array([1.0, -1.0, -1.0])
 
@@ -46,6 +49,14 @@ def lamp_ring(count: int, seed: int = 0) -> Array:
     k = np.arange(count)
     away = np.radians(10 + 105 * (k + 0.5) / count)
     turn = 2.4 * k + seed
+    return np.stack([np.sin(away) * np.cos(turn), np.sin(away) * np.sin(turn), np.cos(away)], 1)
+
+
+def lamp_triples(*away_deg: float) -> Array:
+    """`[3 n, 3]`: three lamps at each angle off the camera's axis. A far lamp and a far camera fill
+    the cells of one a + r alone, so that only lamps at like angles see the same cells."""
+    away = np.radians(np.repeat(away_deg, 3))
+    turn = 2.4 * np.arange(len(away))
     return np.stack([np.sin(away) * np.cos(turn), np.sin(away) * np.sin(turn), np.cos(away)], 1)
 
 
@@ -96,12 +107,14 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
         power: Array | None = None,
         exposure: float = 0.25,
         moved: dict[int, tuple[float, float]] | None = None,
+        sample_only: dict[int, float] | None = None,
+        wrong_lamp: dict[int, float] | None = None,
         lamp_error_deg: float = 0.0,
         seed: int = 0,
         name: str = "s",
     ) -> Series:
         folder = tmp_path / name
-        folder.mkdir()
+        folder.mkdir(exist_ok=True)
         random = np.random.default_rng(seed)
         side = int(2 * radius + 60)
         size = side, side + 80
@@ -136,7 +149,9 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
                     to = unit(to)
                 lit = np.clip((n * to).sum(1), 0, None) * fall * power[k]
                 view = np.broadcast_to([0.0, 0, 1], p.shape)
-                f = brdf(n, to, view) if normal is not None else np.full((len(p), 3), 0.9 / np.pi)
+                f = np.full((len(p), 3), 0.9 / np.pi)
+                if normal is not None:
+                    f = brdf(n, to, view) * (sample_only or {}).get(k, 1.0)
                 linear[where] = np.pi * f * lit[:, None] * exposure
             linear = cv2.GaussianBlur(linear, (0, 0), 0.5)
             linear = linear + noise * np.sqrt(linear + 0.01) * random.normal(size=linear.shape)
@@ -147,6 +162,9 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
             write_photo(photos[-1], linear)
         lean = np.radians(lamp_error_deg) * random.normal(size=direction.shape)
         said = unit(direction + lean)
+        for k, degrees in (wrong_lamp or {}).items():  # turned about the camera's axis
+            c, d = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+            said[k] = np.array([[c, -d, 0], [d, c, 0], [0, 0, 1]]) @ said[k]
         reach = None if position is None else middle + near * radius * said
         write_lights(folder / "lights.json", said, power / power.mean(), reach)
         on = np.hypot(x - centre[0], y - centre[1]) < radius
@@ -313,3 +331,61 @@ def board_setup(series: Series, *, rod: bool = False, axis: bool = True) -> dict
         "white": WhiteSpec(region_m=WHITE_M),
         "factor": WhiteFactor(0.9 * D65_XYZ),
     }
+
+
+def board_lamps(count: int) -> Array:
+    """`[count, 3]` places 0.3 m from the board's middle, 10 to 70 degrees off its normal."""
+    k = np.arange(count)
+    away, turn = np.radians(10 + 60 * (k + 0.5) / count), 2.4 * k
+    direction = [np.sin(away) * np.cos(turn), np.sin(away) * np.sin(turn), -np.cos(away)]
+    return np.array([0.09, 0.06, 0.0]) + 0.3 * np.stack(direction, 1)
+
+
+class SphereBench:
+    """Makes photographs of a sphere and measures them."""
+
+    def __init__(self, make: Callable[..., Series]) -> None:
+        self.series, self.arguments, self.shell = make, sphere_setup, shell
+        self.triples = lamp_triples(20, 45, 70)
+
+    def run(self, *args: object, go_on: bool = False, **options: object) -> CapturedBrdf:
+        from raden_torch.measurement import Metadata
+
+        series = self.series(*args, **options)
+        return capture_brdf(
+            **sphere_setup(series), go_on=go_on, metadata=Metadata("shell", simulated=True)
+        )
+
+    def truth(self, brdf: Callable[..., Array] = shell) -> Array:
+        return node_truth(CellGrid().nodes_deg(), brdf)
+
+
+class BoardBench:
+    """The same on a board."""
+
+    def __init__(self, make: Callable[..., Series]) -> None:
+        self.series = make
+
+    def run(self, case: str) -> CapturedBrdf:
+        count, rod = 24, case != "plane"
+        poses = [
+            (15.0, 25.0)
+            if rod
+            else (17.0 * (k // 3) + 20 * (k % 3) - 20, 10 + 50 * (7 * k % 24) / 24)
+            for k in range(count)
+        ]
+        series = self.series(board_lamps(count), poses, rod=rod)
+        return capture_brdf(**board_setup(series, rod=rod, axis="edges" not in case))
+
+    def truth(self) -> Array:
+        return node_truth(CellGrid().nodes_deg())
+
+
+@pytest.fixture
+def sphere(sphere_series: Callable[..., Series]) -> SphereBench:
+    return SphereBench(sphere_series)
+
+
+@pytest.fixture
+def board(board_series: Callable[..., Series]) -> BoardBench:
+    return BoardBench(board_series)

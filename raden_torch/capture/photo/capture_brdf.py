@@ -15,7 +15,7 @@ from raden_torch.capture.photo.brdf.accumulate import Accumulated, accumulate
 from raden_torch.capture.photo.brdf.agreement import Agreement, agreement
 from raden_torch.capture.photo.brdf.budget import PhotoBudget
 from raden_torch.capture.photo.brdf.cell_fit import RobustFit
-from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
+from raden_torch.capture.photo.brdf.cells import CellGrid
 from raden_torch.capture.photo.brdf.coverage import Coverage, coverage
 from raden_torch.capture.photo.brdf.lighting import Lamp, lamps_of_shots
 from raden_torch.capture.photo.brdf.movement import Edges, edges_near, moved, outline_of
@@ -34,11 +34,11 @@ from raden_torch.capture.photo.lamps import Lamps, read_lamps
 from raden_torch.capture.photo.result_file import read_result
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
+from raden_torch.measurement.common_errors import CommonErrors
+from raden_torch.measurement.readings import LEAST_COVERAGE
 
 Progress = Callable[[float], None]
 
-LEAST_COVERAGE = 0.05
-"""Share of the grid below which a measurement would only pretend to be one."""
 _OUTLINE_PX = 0.3
 """How well an outline is known where it is a mask's: its normals hang on it."""
 
@@ -168,7 +168,7 @@ def capture_brdf(
     )
     return CapturedBrdf(
         measurement=_measurement(
-            found, grid, colour, budget, metadata or Metadata(), sample.shape, cover
+            found, grid, colour, budget, metadata or Metadata(), sample.shape, cover, factor
         ),
         budget=budget,
         found=found,
@@ -317,6 +317,7 @@ def _measurement(
     metadata: Metadata,
     shape: str,
     cover: Coverage,
+    white: WhiteFactor,
 ) -> BrdfMeasurement:
     incidence, receiving, tilt = grid.nodes_deg().T
     values = colour.factors(found.nodes.value)
@@ -332,7 +333,8 @@ def _measurement(
         valid=np.asarray(np.isfinite(values).all(axis=1)),
         metadata=replace(
             metadata,
-            other=(*metadata.other, *_said_of(budget, cover, values)),
+            common=CommonErrors(scale_std=white.relative_std, scale_reference=white.name),
+            other=(*metadata.other, *_said_of(cover)),
             instrument=f"{said}; photographs of a {shape} under {len(found.shots)} lamps",
         ),
     )
@@ -357,13 +359,9 @@ def _too_little(cover: Coverage, photographs: Sequence[Path]) -> str:
     )
 
 
-def _said_of(budget: PhotoBudget, cover: Coverage, values: Floats) -> tuple[tuple[str, str], ...]:
-    """Header entries: what the standard deviations hold and what they do not."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        scale = float(np.nanmedian(budget.scale / np.abs(values)))
+def _said_of(cover: Coverage) -> tuple[tuple[str, str], ...]:
+    """Header entries that a fit of too little can point to."""
     return (
-        ("std holds", "noise, place in the cell, white, geometry, colour (k = 1)"),
-        ("std of the scale", f"{100 * scale:.4g} %, common to all cells and not in std"),
         ("coverage", f"{100 * cover.share:.1f} %"),
         *(("next", f"{s.text}: {s.gain} more cells") for s in cover.next[:1]),
     )

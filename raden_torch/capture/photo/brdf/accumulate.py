@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.brdf.cell_fit import CellSums, NodeValues, RobustFit, robust_fit
+from raden_torch.capture.photo.brdf.cell_fit import RobustFit, robust_fit
+from raden_torch.capture.photo.brdf.cell_sums import CellSums, NodeValues
 from raden_torch.capture.photo.brdf.cells import CellGrid
 from raden_torch.capture.photo.brdf.lighting import Lamp
 from raden_torch.capture.photo.brdf.reservoir import Reservoir

@@ -89,9 +89,12 @@ def agreement(
 ) -> Agreement:
     """Compare the chosen samples of each shot with those of the others, cell by cell."""
     shots = len(scale.rgb)
-    row, level = _groups(kept, fit)
+    row = _groups(kept, fit)
+    level, cells_of = row.median, len(fit.cell)
     size = np.abs(fit.coefficients[:, 0]).mean(axis=1).astype(np.float64)
-    own = fit.scale.mean(axis=1)[row.cell]
+    # the scatter within each shot, not that of all, which a contradiction itself makes wide
+    pooled = np.bincount(row.cell, row.spread * row.count, cells_of)
+    own = (pooled / np.maximum(np.bincount(row.cell, row.count, cells_of), 1))[row.cell]
     slopes = direction_slopes(
         fit.coefficients[:, 0].astype(np.float64),
         fit.coefficients[:, 1:4].transpose(0, 2, 1) / grid.step_deg,
@@ -104,8 +107,8 @@ def agreement(
     variance = (_OF_MEDIAN * own) ** 2 / row.count + systematic**2 + (2e-3 * size[row.cell]) ** 2
     # the others' weighted mean, by taking the own out of the sums
     weight = 1 / np.maximum(variance, 1e-300)
-    total, whole = (np.bincount(row.cell, w, len(fit.cell)) for w in (weight, weight * level))
-    alone = np.bincount(row.cell, minlength=len(fit.cell))[row.cell] < 2
+    total, whole = (np.bincount(row.cell, w, cells_of) for w in (weight, weight * level))
+    alone = np.bincount(row.cell, minlength=cells_of)[row.cell] < 2
     rest = np.where(alone, 1.0, total[row.cell] - weight)
     others = (whole[row.cell] - weight * level) / rest
     difference = level - others
@@ -127,15 +130,17 @@ def agreement(
 
 @dataclass(frozen=True, eq=False)
 class _Groups:
-    """The cells of each shot: rows of the fit, the shot, how many samples."""
+    """The cells of each shot: rows of the fit, the shot, how many samples, and their differences
+    from the fit, mean of the channels: the median, and the robust deviation around it."""
 
     cell: NDArray[np.intp]
     shot: NDArray[np.intp]
     count: NDArray[np.intp]
+    median: Floats
+    spread: Floats
 
 
-def _groups(kept: Reservoir, fit: RobustFit) -> tuple[_Groups, Floats]:
-    """The median difference from the fit of each shot in each cell, over the channels' mean."""
+def _groups(kept: Reservoir, fit: RobustFit) -> _Groups:
     row = fit.index[kept.cell]
     used = row >= 0
     row, shot = row[used], kept.shot[used].astype(np.intp)
@@ -146,6 +151,10 @@ def _groups(kept: Reservoir, fit: RobustFit) -> tuple[_Groups, Floats]:
     starts = np.flatnonzero(np.r_[True, key[1:] != key[:-1]])
     counts = np.diff(np.r_[starts, len(key)])
     middle = off[order][starts + counts // 2]
+    group = np.repeat(np.arange(len(starts)), counts)
+    away = np.abs(off[order] - middle[group])
+    ranked = away[np.lexsort((away, group))]
+    spread = 1.4826 * ranked[starts + counts // 2]
     enough = counts >= _FEWEST
     first = order[starts[enough]]
-    return _Groups(row[first], shot[first], counts[enough]), middle[enough]
+    return _Groups(row[first], shot[first], counts[enough], middle[enough], spread[enough])

@@ -1,12 +1,29 @@
-"""Where a cell's standard deviation comes from, term by term."""
+"""Where a cell's standard deviation comes from, term by term.
+
+Type A terms are found in the photographs, type B terms are stated (JCGM 100:2008, 4.2 and 4.3). All
+are standard uncertainties (k = 1), in the terms of the spectrometer path where they are the same:
+
+| term | type | what it is | shared with |
+|---|---|---|---|
+| noise | A | of the node's value, by the scatter of its samples around the fit | nothing |
+| place | A | by the slopes within the cell that no sample tells of | nothing |
+| white | A | of the white in the photographs, or the lamps' intensities | cells of like lamps |
+| geometry | B | of the lamps' directions and the sample's normals | cells of like lamps |
+| colour | B | of the map from camera RGB to XYZ, by its left-out patches | cells of like colour |
+| scale | B | R u(certificate) | all cells; not in `total` |
+
+The noise holds photon noise, rounding, the sample's texture, and what a quadratic cannot follow.
+There is no drift: the white is in every photograph, and where it is not, the doubt of the lamps'
+intensities is in `white`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from raden_torch.capture.photo.brdf.cell_fit import NodeValues
+from raden_torch.capture.photo.brdf.cell_sums import NodeValues
 from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
 from raden_torch.capture.photo.brdf.white import Scale
 
@@ -18,20 +35,7 @@ _OF_LIGHTNESS = 1 / np.sqrt(3.0)
 class PhotoBudget:
     """Standard deviations (k = 1) of the reflectance factors, term by term, `[M, 3]` each.
 
-    `noise` and `place` are a cell's own; `white` and `geometry` are shared by the cells that the
-    same photographs saw, `colour` by cells of like colour, `scale` by all: they do not average out
-    over neighbours.
-
-    Attributes:
-        noise: of the node's value, by the scatter of the samples around the fit (photon noise, the
-            sample's texture, what the fit cannot follow).
-        place: by the slopes within the cell that no sample tells of.
-        white: of the white in the photographs that the cell was seen in, or of their lamps'
-            intensities.
-        geometry: of the lamps' directions and the sample's normals: of the angles, times the
-            slopes, and of cos θi.
-        colour: of the map from camera RGB to XYZ, by its left-out patches; 0 without one.
-        scale: the white reference's certificate; not in `total`.
+    What each is, and what it is shared with, is in the module's table.
     """
 
     noise: Floats
@@ -41,16 +45,18 @@ class PhotoBudget:
     colour: Floats
     scale: Floats
 
-    TERMS = ("noise", "place", "white", "geometry", "colour", "scale")
-
     @property
     def total(self) -> Floats:
         """All terms but `scale`, in quadrature: what the measurement carries as its `std`.
 
         The scale is common to all cells, so it would only hide how well they compare.
         """
-        terms = (self.noise, self.place, self.white, self.geometry, self.colour)
-        return np.sqrt(sum((term**2 for term in terms), np.zeros_like(self.noise)))
+        squares = [term**2 for name, term in self.terms().items() if name != "scale"]
+        return np.sqrt(np.sum(squares, axis=0))
+
+    def terms(self) -> dict[str, Floats]:
+        """`[M, 3]` by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def direction_slopes(value: Floats, slope: Floats, nodes_deg: Floats) -> Floats:

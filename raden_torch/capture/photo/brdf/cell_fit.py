@@ -38,7 +38,7 @@ _SLOPE, _BEND = 1.5, 1.0
 """Deviations of the priors, over the largest difference to a neighbouring cell."""
 _LEAST = 0.05
 """Of that difference, relative to the cell's own level."""
-_GRAIN = 1e-4
+GRAIN = 1e-4
 _CLOSEST = 15
 """Samples nearest to the node, whose median is the robust fit's start."""
 
@@ -64,25 +64,6 @@ class RobustFit:
     rejected: float
 
 
-@dataclass(frozen=True, eq=False)
-class NodeValues:
-    """The result, a row a cell of the grid; NaN in cells without samples enough.
-
-    Attributes:
-        value: `[cells, 3]` at the node.
-        noise: `[cells, 3]` its standard deviation by the scatter of the samples.
-        place: `[cells, 3]` the same by what is not known of the slopes within the cell.
-        slope: `[cells, 3, 3]` change a degree of incidence, receiving and tilt, of each channel.
-        count: `[cells]` samples that took part.
-    """
-
-    value: Floats
-    noise: Floats
-    place: Floats
-    slope: Floats
-    count: NDArray[np.int64]
-
-
 def robust_fit(kept: Reservoir, grid: CellGrid) -> RobustFit:
     """Fit each cell of a reservoir."""
     rank = rank_in_group(kept.cell)
@@ -102,97 +83,13 @@ def robust_fit(kept: Reservoir, grid: CellGrid) -> RobustFit:
         return RobustFit(cells, index, empty, np.zeros((0, 3)), np.zeros((0, TERMS)), 0.0)
     terms = basis(x.reshape(-1, 3)).reshape(len(cells), depth, TERMS)
     prior = _prior(cells, np.nanmedian(y, axis=1).mean(axis=1), grid)
-    near = _nearness(x) * np.isfinite(y[..., 0])
+    near = nearness(x) * np.isfinite(y[..., 0])
     coefficients, scale, distance = _bisquare(terms, np.nan_to_num(y), near, prior)
     beyond = float((distance[near > 0] > REJECT).mean())
     return RobustFit(cells, index, coefficients.astype(np.float32), scale, prior, beyond)
 
 
-class CellSums:
-    """Sums over all samples that agree with the first fit: what the last one needs."""
-
-    def __init__(self, fit: RobustFit) -> None:
-        rows = len(fit.cell)
-        self.fit = fit
-        self.seen = np.zeros(rows, np.int64)
-        self.count = np.zeros(rows, np.int64)
-        self._pairs = np.triu_indices(TERMS)
-        self._sums = np.zeros((rows, len(self._pairs[0]) + 3 * TERMS + 6))
-
-    def add(self, cell: Ints, x: Floats32, y: Floats32) -> None:
-        """Add samples: cells `[n]`, places `[n, 3]`, values `[n, 3]`."""
-        from scipy import sparse
-
-        row = self.fit.index[cell]
-        known = row >= 0
-        row, x, y = row[known], x[known], y[known]
-        self.seen += np.bincount(row, minlength=len(self.seen))
-        terms = basis(x)
-        off = y - np.einsum("nk,nkc->nc", terms, self.fit.coefficients[row])
-        good = (abs(off) <= REJECT * self.fit.scale[row]).all(axis=1)
-        row, terms, off = row[good], terms[good], off[good]
-        self.count += np.bincount(row, minlength=len(self.count))
-        w = _nearness(x[good])[:, None]
-        weighted = w * terms
-        columns = np.concatenate(
-            [
-                weighted[:, self._pairs[0]] * terms[:, self._pairs[1]],
-                *(weighted * off[:, c : c + 1] for c in range(3)),
-                w * off**2,
-                w,
-                w**2,
-                np.ones_like(w),
-            ],
-            axis=1,
-        )
-        choose = sparse.csr_matrix(
-            (np.ones(len(row), np.float32), (row, np.arange(len(row)))),
-            (len(self.count), len(row)),
-        )
-        self._sums += choose @ columns
-
-    def nodes(self, grid: CellGrid) -> NodeValues:
-        """The value at every node, and how well it is known."""
-        pairs = len(self._pairs[0])
-        rows = len(self.count)
-        square = np.zeros((rows, TERMS, TERMS))
-        square[:, self._pairs[0], self._pairs[1]] = self._sums[:, :pairs]
-        square[:, self._pairs[1], self._pairs[0]] = self._sums[:, :pairs]
-        right: Floats = self._sums[:, pairs : pairs + 3 * TERMS].reshape(rows, 3, TERMS)
-        squares, w = self._sums[:, -6:-3], self._sums[:, -3:-2]
-        fewer = self._sums[:, -2:-1] / np.maximum(w, 1e-12)
-        good = (self.count >= FEWEST) & (w[:, 0] > 1e-6)
-        # the sums are of differences from the first fit; the prior is around 0 all the same
-        first = self.fit.coefficients.astype(np.float64)
-        spread = np.sqrt(squares / np.maximum(w, 1e-12)).mean(axis=1)
-        spread = np.maximum(spread, _GRAIN * abs(first[:, 0]).mean(axis=1))
-        precision = _precision(spread, self.fit.prior)
-        whole = square + precision
-        moved = np.linalg.solve(whole, right.transpose(0, 2, 1) - precision @ first)
-        coefficients = first + moved
-        inverse = np.linalg.inv(whole)[:, 0]
-        left = (squares - np.einsum("nkc,nck->nc", moved, right)).clip(min=0)
-        own = np.sqrt(left / np.maximum(w * (1 - fewer / np.maximum(w, 1e-12)), 1e-12))
-        from_noise = np.einsum("nk,nkl,nl->n", inverse, square, inverse) * fewer[:, 0]
-        from_place = np.einsum("nk,nkl,nl->n", inverse, precision, inverse)
-
-        def spread_out(column: Floats) -> Floats:
-            out = np.full((grid.cells, *column.shape[1:]), np.nan)
-            out[self.fit.cell[good]] = column[good]
-            return out
-
-        count = np.zeros(grid.cells, np.int64)
-        count[self.fit.cell[good]] = self.count[good]
-        return NodeValues(
-            value=spread_out(coefficients[:, 0]),
-            noise=spread_out(own * np.sqrt(from_noise.clip(min=0))[:, None]),
-            place=spread_out(np.repeat((spread * np.sqrt(from_place))[:, None], 3, axis=1)),
-            slope=spread_out(coefficients[:, 1:4].transpose(0, 2, 1) / grid.step_deg),
-            count=count,
-        )
-
-
-def _nearness(x: Floats32) -> Floats32:
+def nearness(x: Floats32) -> Floats32:
     """A sample's weight by its place `[…, 3]`."""
     return np.exp((x**2).sum(axis=-1) * np.float32(-0.5 / NEAR**2))
 
@@ -202,7 +99,7 @@ def _shrunk() -> Floats:
     return np.r_[0.0, np.ones(TERMS - 1)]
 
 
-def _precision(spread: Floats, prior: Floats) -> Floats:
+def prior_precision(spread: Floats, prior: Floats) -> Floats:
     """`[T, 10, 10]` of the prior, in units of 1 / spread²."""
     diagonal = (spread[:, None] / prior) ** 2 * _shrunk()
     return diagonal[:, :, None] * np.eye(TERMS)
@@ -242,7 +139,7 @@ def _bisquare(
         square = np.einsum("ns,nsk,nsl->nkl", weight, terms, terms, optimize=True)
         right = np.einsum("ns,nsk,nsc->nkc", weight, terms, y, optimize=True)
         tie = 1e-9 * np.eye(TERMS)
-        whole = square + _precision(scale.mean(axis=1), prior) + tie
+        whole = square + prior_precision(scale.mean(axis=1), prior) + tie
         coefficients = np.linalg.solve(whole, right)
         off = y - terms @ coefficients.astype(np.float32)
         scale = np.maximum(1.4826 * _median(np.abs(off), there), _floor(coefficients[:, 0]))
@@ -250,7 +147,7 @@ def _bisquare(
 
 
 def _floor(level: Floats) -> Floats:
-    return np.maximum(_GRAIN * abs(level), 1e-12)
+    return np.maximum(GRAIN * abs(level), 1e-12)
 
 
 def _median(values: NDArray[np.floating[Any]], there: NDArray[np.bool_]) -> Floats:

@@ -20,7 +20,7 @@ _MOST = 300.0
 
 
 def chart_white(
-    colour: Path | None, factor: str | None, file: Path | None, std_percent: float
+    colour: Path | None, factor: str | None, file: Path | None, std_percent: float, name: str = ""
 ) -> tuple[Floats | None, WhiteFactor]:
     """The corners of a chart's white patch `[4, 2]` in pixels, and how much the white reflects.
 
@@ -29,6 +29,7 @@ def chart_white(
             is elsewhere.
         factor: "98.5", or "X,Y,Z"; None: the file's, or the chart's own.
         std_percent: standard uncertainty of the factor.
+        name: of the reference, as its certificate has it.
 
     Raises:
         InputError: no factor, two, or one that no white has.
@@ -42,15 +43,15 @@ def chart_white(
     if file is not None:
         if not file.is_file():
             raise InputError(f"{file}: no such file; a measurement of the white was wanted")
-        return corners, WhiteFactor(D65_XYZ, file, relative)
+        return corners, WhiteFactor(D65_XYZ, file, relative, name)
     if factor is not None:
-        return corners, WhiteFactor(_xyz(factor), None, relative)
+        return corners, WhiteFactor(_xyz(factor), None, relative, name)
     if edition is None:
         raise InputError(
             "white: its reflectance factor was wanted: --white-factor (the perfect diffuser is "
             "100), or --white-file, a measurement of it"
         )
-    return corners, WhiteFactor(100 * reference_xyz(edition)[_WHITE], None, relative)
+    return corners, WhiteFactor(100 * reference_xyz(edition)[_WHITE], None, relative, name)
 
 
 def _patch(path: str | os.PathLike[str]) -> tuple[Floats, str]:

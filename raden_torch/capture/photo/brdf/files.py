@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from raden_torch.capture.photo.brdf.budget import PhotoBudget
-from raden_torch.capture.photo.brdf.cells import Floats
 from raden_torch.capture.photo.checking_picture import picture_path
 from raden_torch.capture.photo.result_file import check_result_path, write_result
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable
+from raden_torch.measurement.regions import regions
 
 if TYPE_CHECKING:
     from raden_torch.capture.photo.capture_brdf import CapturedBrdf
@@ -21,8 +20,6 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 
 KIND = "brdf"
-RIDGE_DEG = 10.0
-GRAZING_DEG = 60.0
 
 
 def check_outputs(output: Path, picture: PathLike | None) -> tuple[Path, Path]:
@@ -79,26 +76,15 @@ def write_brdf(found: CapturedBrdf, report: Path) -> None:
     write_result(report, KIND, content, made_from=files)
 
 
-def regions(nodes_deg: Floats) -> dict[str, Any]:
-    """`[M]` masks by name: grazing (light or view beyond 60°), of the rest the ridge |r − a| < 10°
-    and the body."""
-    a, r, t = np.radians(nodes_deg).T
-    grazing = np.minimum(np.cos(a) * np.cos(t), np.cos(r) * np.cos(t)) < np.cos(
-        np.radians(GRAZING_DEG)
-    )
-    ridge = abs(nodes_deg[:, 1] - nodes_deg[:, 0]) < RIDGE_DEG
-    return {"ridge": ridge & ~grazing, "body": ~ridge & ~grazing, "grazing": grazing}
-
-
 def budget_table(found: CapturedBrdf) -> dict[str, dict[str, float]]:
     """Median over the covered cells of each region: each term, per cent of the value."""
     level = np.abs(found.measurement.values).mean(axis=1)
     table = {}
-    for name, where in regions(found.grid.nodes_deg()).items():
+    for name, where in regions(found.measurement).items():
         cells = where & found.measurement.valid & (level > 0)
         if not cells.any():
             continue
-        terms = {term: getattr(found.budget, term) for term in (*PhotoBudget.TERMS, "total")}
+        terms = found.budget.terms() | {"total": found.budget.total}
         table[name] = {
             term: round(float(100 * np.median(std[cells].mean(axis=1) / level[cells])), 4)
             for term, std in terms.items()

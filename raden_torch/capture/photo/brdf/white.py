@@ -37,11 +37,13 @@ class WhiteFactor:
         xyz: `[3]` its XYZ reflectance factor in every geometry, where there is no file.
         file: a measurement of it, which is looked up at the white's own geometry.
         relative_std: standard uncertainty (k = 1) of either, from its certificate.
+        name: of the reference: measurements that name the same share its error.
     """
 
     xyz: Floats
     file: Path | None = None
     relative_std: float = 0.0
+    name: str = ""
 
     def at(self, angles: NDArray[np.floating[Any]]) -> Floats:
         """`[3]` at incidence, receiving and tilt in degrees."""

@@ -1,0 +1,138 @@
+"""What a person may do wrong with a series of photographs, and what they are told."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from raden_torch.capture.photo.brdf.chart_white import chart_white
+from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
+from raden_torch.capture.photo.brdf.sample import SampleSpec
+from raden_torch.capture.photo.capture_brdf import capture_brdf
+from raden_torch.errors import InputError
+
+
+def test_a_sample_that_moved_is_named(sphere: Any) -> None:
+    with pytest.raises(InputError, match=r"photo3\.png: the sample moved: .* 3\.[0-9] pixels") as e:
+        sphere.run(8, radius=100.0, moved={3: (2.0, -2.5)})
+    assert "\n" not in str(e.value)
+
+
+def test_half_a_pixel_is_no_movement(sphere: Any) -> None:
+    found = sphere.run(8, radius=100.0, moved={3: (0.4, -0.3)})
+    assert found.coverage.share > 0.4
+
+
+def test_a_photograph_that_is_brighter_than_the_others_is_named(sphere: Any) -> None:
+    """As by a shadow on the white: the sample's light is 25 % up, the white's is not."""
+    with pytest.raises(InputError, match=r"photo2\.png: it contradicts .* brighter by 2[0-9] %"):
+        sphere.run(lamps=sphere.triples, radius=70.0, sample_only={2: 1.25})
+
+
+def test_going_on_all_the_same_warns_and_notes(sphere: Any) -> None:
+    with pytest.warns(UserWarning, match=r"photo2\.png: it contradicts"):
+        found = sphere.run(lamps=sphere.triples, radius=70.0, sample_only={2: 1.25}, go_on=True)
+    assert any("contradicts" in note for note in found.notes)
+    assert found.agreement.worst() == 2
+
+
+def test_a_lamp_in_the_wrong_place_is_named(sphere: Any) -> None:
+    with pytest.raises(
+        InputError, match=r"photo4\.png: it contradicts .* its lamp or the sample moved"
+    ):
+        sphere.run(lamps=sphere.triples, radius=70.0, wrong_lamp={4: 25.0})
+
+
+def test_too_little_coverage_says_what_would_help(sphere: Any) -> None:
+    one = np.array([[0.2, 0.1, 1.0]]) / np.sqrt(1.05)
+    with pytest.raises(
+        InputError, match=r"cover 0?[0-4]\.\d % .*would help most: the lamp \d+ deg"
+    ):
+        sphere.run(lamps=one, radius=40.0)
+
+
+def test_fit_refuses_a_nearly_empty_grid_with_the_advice_of_its_file(sphere: Any) -> None:
+    import raden_torch as rt
+
+    found = sphere.run(8, radius=60.0).measurement
+    rows = np.flatnonzero(found.valid)[::40]
+    kept = np.zeros(len(found), bool)
+    kept[rows] = True
+    with pytest.raises(InputError, match=r"% of the 12615 cells .* with the lamp \d+ deg towards"):
+        rt.fit(replace(found, valid=kept))
+
+
+def test_lamps_and_photographs_that_do_not_fit(sphere: Any) -> None:
+    series = sphere.series(8, radius=40.0)
+    arguments = sphere.arguments(series)
+    photos = arguments.pop("photographs")
+    setup = arguments.pop("setup")
+    with pytest.raises(
+        InputError, match=r"photo7\.png: lamp 9 is not in .*lights\.json, which has 8"
+    ):
+        capture_brdf(photos, replace(setup, lamps=(1, 2, 3, 4, 5, 6, 7, 9)), **arguments)
+    with pytest.raises(InputError, match=r"photo0\.png: its lamp is not in"):
+        capture_brdf([*photos, photos[0]], setup, **arguments)
+    with pytest.raises(InputError, match="8 lamps, but 7 photographs"):
+        capture_brdf(photos[:7], setup, **arguments)
+    with pytest.raises(InputError, match=r"photo\d\.png: it is photograph 1, but lamp 1"):
+        capture_brdf(photos[::-1], setup, **arguments)
+    with pytest.raises(InputError, match=r"8 files do not make stacks of 3"):
+        capture_brdf(photos, replace(setup, stack=3), **arguments)
+
+
+def test_no_white_and_over_exposed(sphere: Any) -> None:
+    with pytest.raises(InputError, match="the white reference was not found: dark, over-exposed"):
+        sphere.run(4, radius=60.0, exposure=2.0)
+    series = sphere.series(4, radius=60.0, name="w")
+    arguments = sphere.arguments(series)
+    black = series.folder / "black.png"
+    cv2.imwrite(str(black), np.zeros(cv2.imread(str(series.white)).shape[:2], np.uint8))
+    with pytest.raises(InputError, match="the mask is empty"):
+        capture_brdf(**(arguments | {"white": WhiteSpec(black)}))
+    with pytest.raises(InputError, match="0 places of the white reference; one was wanted"):
+        WhiteSpec()
+
+
+def test_shapes_that_lack_something(sphere: Any, board: Any) -> None:
+    with pytest.raises(InputError, match="a mask that is white on it was wanted"):
+        SampleSpec("cylinder")
+    with pytest.raises(InputError, match="where is it"):
+        SampleSpec("plane")
+    with pytest.raises(InputError, match="'cube'; sphere, plane or cylinder"):
+        SampleSpec("cube")
+    series = sphere.series(4, radius=60.0)
+    with pytest.raises(InputError, match="the board's pose in it is not known"):
+        capture_brdf(**(sphere.arguments(series) | {"sample": SampleSpec("plane", series.mask)}))
+    with pytest.raises(InputError, match=r"no two long straight edges|not straight"):
+        capture_brdf(**(sphere.arguments(series) | {"sample": SampleSpec("cylinder", series.mask)}))
+    lights = json.loads(Path(series.lights).read_text())
+    for lamp in lights["lamps"]:
+        lamp["position_mm"] = [0.0, 0.0, 500.0]
+    lights["unit"] = "mm"
+    Path(series.lights).write_text(json.dumps(lights))
+    with pytest.raises(InputError, match=r"positions are in mm; give the camera file"):
+        capture_brdf(**sphere.arguments(series))
+
+
+@pytest.mark.parametrize(
+    ("factor", "file", "std", "said"),
+    [
+        (None, None, 0.0, "its reflectance factor was wanted"),
+        ("98", "x.csv", 0.0, "a factor and a file"),
+        ("zwei", None, 0.0, "reflectance factor zwei"),
+        ("0", None, 0.0, "above 0"),
+        ("95,100", None, 0.0, "one number or X,Y,Z"),
+        (None, "x.csv", 0.0, "no such file"),
+        ("98", None, 120.0, "standard uncertainty 120"),
+    ],
+)
+def test_the_white_has_a_factor(factor: str, file: str, std: float, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        chart_white(None, factor, None if file is None else Path(file), std)
