@@ -180,3 +180,25 @@ def test_the_real_board(shared: Path) -> None:
         assert turn_deg(pose.rotation, whole.rotation) < 0.6
         seen.append(len(part.ids))
     assert min(seen) < 20  # the paint did cover something
+
+
+@pytest.mark.parametrize(("focal", "k2", "kept"), [(3000.0, 0.3, False), (700.0, 0.4, True)])
+def test_terms_of_the_lens_that_cannot_be_told_from_0_are_left_out(
+    focal: float, k2: float, kept: bool
+) -> None:
+    """A long lens bends nothing by r⁴; fitted to noise, k2 would bend the picture's corners."""
+    board = Board(7, 5, 0.03, 0.02)
+    matrix = np.array([[focal, 0, 445.0], [0, focal, 310], [0, 0, 1]])
+    lens = np.array([-0.3, k2, 0, 0, 0.0])
+    rng = np.random.default_rng(8)
+    views = []
+    for k in range(12):
+        turn = np.array([np.cos(k), np.sin(k), 0.1]) * 0.6
+        away = np.array([-0.1, -0.07, 0.23 * focal / 900])
+        pixels, _ = cv2.projectPoints(board.corners_m, turn, away, matrix, lens)
+        noisy = pixels.reshape(-1, 2) + rng.normal(0, 0.1, (len(board.corners_m), 2))
+        ids = np.arange(len(noisy), dtype=np.int32)
+        views.append(BoardView(f"{k}.png", (600, 900), board, ids, noisy))
+    found = calibrate(views).camera.distortion
+    assert (found[1] != 0) == kept
+    assert (found[2:4] == 0).all()

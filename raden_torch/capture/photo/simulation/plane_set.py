@@ -32,7 +32,8 @@ from raden_torch.capture.photo.simulation.scene import (
 )
 
 _MIDDLE = np.array([88.0, -56.0, 0.0])
-_CAMERA_MM, _LAMP_MM = 950.0, 620.0
+_CAMERA_MM, _LAMP_MM = 950.0, 1150.0
+"""Lamps stand behind the camera's distance, so that none is in the picture."""
 _SPECIMEN_MM, _WHITE_MM = (48.0, 32.0, 32.0, 32.0), (112.0, 48.0, 16.0, 16.0)
 """x, y, width and height on the board."""
 _ABOVE_MM, _BALL_MM = 0.02, 20.0
@@ -49,7 +50,7 @@ def plane_plan(
     The first view is from nearly above and shows everything, the others lean to all sides.
     """
     rng = np.random.default_rng([seed, 1])
-    board = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.5)
+    board = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.0)
     lying = Sheet(np.zeros(3), RIGHT, -UP, *board.size_mm)
     chart = Sheet(np.array([154.0, -28.0, 0.0]), RIGHT, -UP, 77.0, 55.0)
     table = Sheet(np.array([-500.0, 500.0, -0.5]), RIGHT, -UP, 1200.0, 1000.0)
