@@ -123,6 +123,9 @@ def brdf(
     dark: Annotated[
         list[Path] | None, typer.Option(help="frame with the lens covered; may be repeated")
     ] = None,
+    dark_exposure: Annotated[
+        list[float] | None, typer.Option(help="seconds, for each dark frame; else from EXIF")
+    ] = None,
     flat: Annotated[Path | None, typer.Option(help="photograph of an even white sheet")] = None,
     step: Annotated[float, typer.Option(help="of the grid, degrees")] = 5.0,
     name: Annotated[str, typer.Option(help="of the sample")] = "",
@@ -155,7 +158,8 @@ def brdf(
         white_level,
         tuple(exposure or ()),
         tuple(dark or ()),
-        flat=flat,
+        tuple(dark_exposure or ()),
+        flat,
     )
     setup = Setup(lights, camera, colour, tuple(lamp or ()), stack, lights_seen_in, lamp_std, how)
     sample = SampleSpec(

@@ -39,7 +39,7 @@ def simulate(
     shape: Annotated[Specimen, typer.Option(help="of the specimen")] = Specimen.sphere,
     lamps: Annotated[int, typer.Option(help="how many, one a photograph")] = 29,
     views: Annotated[int, typer.Option(help="places of the camera, for a plane")] = 6,
-    near: Annotated[bool, typer.Option("--near", help="lamps at 0.6 m instead of 20 m")] = False,
+    near: Annotated[bool, typer.Option("--near", help="lamps at about 1 m, else far away")] = False,
     width: Annotated[int, typer.Option(help="of a photograph, pixels; its height is 2/3")] = 1200,
     bits: Annotated[int, typer.Option(help="of the camera; 8 makes 8-bit files")] = 14,
     stack: Annotated[int, typer.Option(help="exposures a photograph, each 4 times longer")] = 1,

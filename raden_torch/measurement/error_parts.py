@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.errors import InputError
 from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.common_errors import zero_sensitivity
 from raden_torch.measurement.readings import BrdfMeasurement, Floats
@@ -58,7 +59,7 @@ def error_parts(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> Erro
         channels: its own; or X, Y, Z or R, G, B.
 
     Raises:
-        InputError: its channels make no colour.
+        InputError: its channels make no colour, or some readings state no standard deviation.
     """
     m = measurement.select(measurement.valid)
     common = m.metadata.common
@@ -68,7 +69,7 @@ def error_parts(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> Erro
     if any(common.zero_std_deg):
         zeros = zero_effects(m)
     if m.std is not None:
-        square = np.nan_to_num(m.std) ** 2
+        square = stated_variance(m)
         own = np.maximum(square - (zeros**2).sum(axis=-1), _LEAST_OWN**2 * square)
         variance = np.maximum(own, floor)
     matrix = matrix_to(m, channels)
@@ -77,6 +78,30 @@ def error_parts(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> Erro
         variance @ (matrix**2).T,
         np.einsum("ncz,dc->ndz", zeros, matrix),
     )
+
+
+def stated_variance(measurement: BrdfMeasurement) -> Floats:
+    """`[M, C]` std² of a measurement whose readings are all valid.
+
+    Raises:
+        InputError: it has no standard deviations, or not for every reading.
+    """
+    m = measurement
+    name = m.metadata.sample or "an unnamed sample"
+    if m.std is None:
+        raise InputError(
+            f"measurement of {name}: states no standard deviation, and so has no weight; give it "
+            f"columns std_{', std_'.join(m.channels[:3])}"
+        )
+    wrong = ~np.isfinite(m.std).all(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"measurement of {name}: no standard deviation at incidence {m.incidence_deg[row]:g}, "
+            f"receiving {m.receiving_deg[row]:g}, tilt {m.tilt_deg[row]:g} deg; give it one, or "
+            "mark the reading as not valid"
+        )
+    return np.asarray(m.std**2)
 
 
 def zero_effects(measurement: BrdfMeasurement) -> Floats:

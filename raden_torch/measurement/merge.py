@@ -81,8 +81,8 @@ def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> M
             to what makes χ²/dof 1 (Birge's ratio).
 
     Raises:
-        InputError: fewer than two, one without standard deviations, another white or observer, or
-            readings that contradict each other beyond them.
+        InputError: fewer than two, readings without standard deviations, another white or observer,
+            or readings that contradict each other beyond them.
     """
     _check(measurements)
     stack = Stack.of(measurements)
@@ -119,12 +119,6 @@ def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> M
 def _check(measurements: Sequence[BrdfMeasurement]) -> None:
     if len(measurements) < 2:
         raise InputError("merge: two measurements or more were wanted")
-    for number, m in enumerate(measurements, 1):
-        if m.std is None:
-            raise InputError(
-                f"merge: measurement {number} ({m.metadata.sample or 'unnamed'}) states no "
-                "standard deviation, and so has no weight; give it columns std_X, std_Y, std_Z"
-            )
     if len({m.azimuth_deg is None for m in measurements}) > 1:
         raise InputError("merge: some have a sample azimuth and some have none; give it to all")
 

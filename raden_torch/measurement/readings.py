@@ -103,8 +103,8 @@ class BrdfMeasurement:
         valid: `[M]`; a row whose value is NaN is never valid.
 
     Raises:
-        InputError: shapes that do not fit, angles out of range or not finite, infinite values, or
-            two valid readings of one geometry that disagree.
+        InputError: shapes that do not fit, angles out of range or not finite, infinite values, a
+            negative standard deviation, or two valid readings of one geometry that disagree.
     """
 
     incidence_deg: Floats
@@ -313,6 +313,13 @@ class BrdfMeasurement:
             raise InputError(
                 f"measurement: {self.channels[channel]} is infinite in reading {row + 1}; "
                 "mark a saturated reading as not valid, or leave its value empty"
+            )
+
+        if self.std is not None and (self.std < 0).any():
+            row, channel = np.unravel_index(int(np.argmax(self.std < 0)), self.std.shape)
+            raise InputError(
+                f"measurement: std_{self.channels[channel]} = {self.std[row, channel]:g} in "
+                f"reading {row + 1}; at least 0 was wanted"
             )
 
     def _check_duplicates(self) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.compare import common_channels
+from raden_torch.measurement.error_parts import stated_variance
 from raden_torch.measurement.matching import DIGITS, angles_deg
 from raden_torch.measurement.readings import BrdfMeasurement, Floats
 
@@ -37,7 +37,7 @@ class Stack:
         for m in kept:
             matrix = matrix_to(m, channels)
             values.append(m.values @ matrix.T)
-            variances.append(np.nan_to_num(cast(Floats, m.std)) ** 2 @ (matrix**2).T)
+            variances.append(stated_variance(m) @ (matrix**2).T)
         stacked, variance = np.concatenate(values), np.concatenate(variances)
         floor = (1e-9 * abs(stacked).max(initial=1e-6)) ** 2  # a std of 0 is rounding
         return cls(

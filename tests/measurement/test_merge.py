@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata, native_csv
 from raden_torch.measurement.common_errors import CommonErrors
+from raden_torch.measurement.compare import compare
 from raden_torch.measurement.merge import merge
 
 
@@ -154,8 +155,18 @@ def test_a_scatter_over_all_cells_is_refused_too() -> None:
 
 def test_what_has_no_weight_is_refused() -> None:
     a = readings(1)
-    with pytest.raises(InputError, match=r"measurement 2 .*states no standard deviation"):
+    with pytest.raises(InputError, match=r"of shell 1: states no standard deviation"):
         merge([a, replace(a, std=None)])
+    gap = a.std.copy()
+    gap[3, 1] = np.nan
+    place = f"incidence {a.incidence_deg[3]:g}, receiving {a.receiving_deg[3]:g}"
+    for b in (a, readings(2)):
+        with pytest.raises(InputError, match=f"no standard deviation at {place}"):
+            merge([replace(a, std=gap), b])
+        with pytest.raises(InputError, match=f"no standard deviation at {place}"):
+            compare(b, replace(a, std=gap))
+    with pytest.raises(InputError, match=r"std_X = -1 in reading 1; at least 0"):
+        replace(a, std=-np.ones_like(gap))
     with pytest.raises(InputError, match="two measurements or more"):
         merge([a])
     with pytest.raises(InputError, match="azimuth"):

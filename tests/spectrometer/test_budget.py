@@ -173,6 +173,9 @@ def test_what_is_common_stands_in_the_measurement(scanned) -> None:
     assert common.zero_std_deg == (0.1, 0.2, 0.3)
     assert common.white_deg == (45.0, 0.0, 0.0)
     np.testing.assert_allclose(reduced.budget.scale, 0.005 * reduced.measurement.values)
+    unnamed = White(Position(45.0, 0.0, 0.0), (94.0, 99.0, 107.8), relative_std=0.005)
+    common = reduce_readings(scanned(plan, "b.jsonl", white=unnamed)).measurement.metadata.common
+    assert (common.scale_std, common.scale_reference) == (0.005, "")
 
 
 def test_where_the_white_stood_the_irradiance_s_zero_cancels(scanned) -> None:

@@ -211,6 +211,9 @@ def test_reciprocity_is_found_and_its_breach(scanned, plan, analytic) -> None:
     )
     assert 0.02 < broken.mean < 0.1
     assert broken.within_two_std < 0.7
+    assert kept.warning is None
+    off = BrdfMeasurement(m.incidence_deg, m.receiving_deg, m.tilt_deg, values, std=0.01 * values)
+    assert "worst at (" in str(check_reciprocity(off).warning)
 
 
 def test_the_report_says_what_a_lab_keeps(scanned, fake, plan: FixedPlan) -> None:

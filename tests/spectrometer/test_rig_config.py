@@ -206,3 +206,20 @@ def test_the_shared_spectralon_as_white_reference(rig_file, shared: Path) -> Non
     text = RIG.replace("reflectance_factor = 98.5", f'file = "{tile}"')
     white = load_rig(rig_file(text)).white.xyz(Position(45, 0, 0))
     assert 70 < white[1] < 120
+
+
+def test_what_a_rig_states_of_its_uncertainty(tmp_path: Path) -> None:
+    path = tmp_path / "rig.toml"
+    path.write_text(RIG)
+    assert load_rig(path).stated.zero_std_deg == (0.05, 0.05, 0.05)
+    assert load_rig(path).stated.position_std_deg == (0.02, 0.02, 0.02)
+    stated = 'letter = "A"\nzero_std_deg = 0.1\nposition_std_deg = 0.0'
+    meter = 'driver = "cs2000"\nwavelength_std_nm = 0.2\nxyz_std = 0.01'
+    path.write_text(RIG.replace('letter = "A"', stated).replace('driver = "cs2000"', meter))
+    found = load_rig(path).stated
+    assert found.zero_std_deg == (0.1, 0.05, 0.05)
+    assert found.position_std_deg == (0.0, 0.02, 0.02)
+    assert (found.wavelength_std_nm, found.xyz_std) == (0.2, 0.01)
+    path.write_text(RIG.replace('letter = "A"', 'letter = "A"\nzero_std_deg = -1'))
+    with pytest.raises(InputError, match=r"incidence.zero_std_deg: -1; a number in 0…10"):
+        load_rig(path)

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from raden_torch.capture.spectrometer.journal import Header
 from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.capture.spectrometer.white import White
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.common_errors import CommonErrors, Triple, zero_sensitivity
 from raden_torch.measurement.slopes import slopes_per_deg
@@ -80,9 +81,10 @@ def common_errors(header: Header, white_mean_std: float) -> CommonErrors:
     """
     here = header.white.position
     at_cells = bool(header.white.at_cells)
+    named = header.white.name != White.name  # a name that tells one white from another
     return CommonErrors(
         scale_std=header.white.relative_std,
-        scale_reference=header.white.name if header.white.relative_std else "",
+        scale_reference=header.white.name if named and header.white.relative_std else "",
         white_mean_std=white_mean_std,
         zero_std_deg=header.stated.zero_std_deg,
         white_deg=None if at_cells else (here.incidence_deg, here.receiving_deg, here.tilt_deg),

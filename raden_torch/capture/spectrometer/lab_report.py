@@ -15,6 +15,8 @@ from raden_torch.capture.spectrometer.reduction import Reduced
 from raden_torch.measurement import BrdfMeasurement
 
 _DIGITS = 6
+_FEWEST_PAIRS = 20
+_RECIPROCAL = 0.8  # of the pairs within 2 standard deviations; 0.95 where only noise is left
 
 
 @dataclass(frozen=True)
@@ -25,11 +27,25 @@ class Reciprocity:
         pairs: how many pairs were measured.
         mean: |difference| over the pair's mean, weighted by that mean.
         within_two_std: share of the pairs that differ by at most two standard deviations.
+        worst_deg: incidence, receiving and tilt where they differ by most of them.
     """
 
     pairs: int
     mean: float
     within_two_std: float
+    worst_deg: tuple[float, ...] = ()
+
+    @property
+    def warning(self) -> str | None:
+        """What to say where the law is broken far beyond the readings' uncertainty."""
+        if self.pairs < _FEWEST_PAIRS or self.within_two_std >= _RECIPROCAL:
+            return None
+        share = 100 * (1 - self.within_two_std)
+        worst = ", ".join(f"{angle:g}" for angle in self.worst_deg)
+        return (
+            f"reciprocity is broken beyond the uncertainty in {share:.0f} % of the pairs, worst at "
+            f"({worst}): a zero is off, or the sample is not reciprocal"
+        )
 
 
 @dataclass(frozen=True)
@@ -186,6 +202,7 @@ def make_report(contents: Contents, reduced: Reduced) -> LabReport:
     times = [t.time_s for t in contents.taken] + [r.time_s for r in contents.references]
     level = reduced.white_level[:, 1]
     y, std = m.values[m.valid, 1], cast(Floats, m.std)[m.valid, 1]
+    reciprocity = check_reciprocity(m)
     here = header.white.position
     where = (
         "read in every cell"
@@ -222,11 +239,11 @@ def make_report(contents: Contents, reduced: Reduced) -> LabReport:
         median_std=float(np.median(std / np.maximum(abs(y), 1e-9))) if len(y) else np.nan,
         white_relative_std=header.white.relative_std,
         spectral=reduced.spectral,
-        reciprocity=check_reciprocity(m),
+        reciprocity=reciprocity,
         travel_deg=plan.travel_deg,
         as_given_deg=plan.as_given_deg,
         faults=dict(Counter(fault.kind for fault in contents.faults)),
-        warnings=reduced.warnings,
+        warnings=reduced.warnings + ((reciprocity.warning,) if reciprocity.warning else ()),
         terms=_median_terms(reduced),
     )
 
@@ -262,8 +279,14 @@ def check_reciprocity(measurement: BrdfMeasurement) -> Reciprocity:
     difference, size = abs(y[here] - y[there]), abs(y[here] + y[there]) / 2
     if not len(here) or not size.sum() > 0:
         return Reciprocity(0, float("nan"), float("nan"))
-    within = difference <= 2 * np.hypot(std[here], std[there]) + 1e-9 * size
-    return Reciprocity(len(here), float(difference.sum() / size.sum()), float(within.mean()))
+    allowed = 2 * np.hypot(std[here], std[there]) + 1e-9 * size
+    worst = here[np.argmax(difference / np.maximum(allowed, 1e-12))]
+    return Reciprocity(
+        len(here),
+        float(difference.sum() / size.sum()),
+        float((difference <= allowed).mean()),
+        (float(a[worst]), float(r[worst]), float(t[worst])),
+    )
 
 
 def now_utc() -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,9 +87,9 @@ class CellSums:
         precision = prior_precision(spread, moments.prior)
         whole = moments.terms + precision
         # the sums are of differences from the first fit; the prior is around 0 all the same
-        moved: Floats = np.linalg.solve(whole, moments.values - precision @ moments.first)
+        moved = np.linalg.solve(whole, moments.values - precision @ moments.first)
         found = moments.first + moved
-        inverse: Floats = np.linalg.inv(whole)
+        inverse = np.linalg.inv(whole)
         scatter = moments.scatter(moved, inverse)
         node = inverse[:, 0]
         from_noise = np.einsum("nk,nkl,nl->n", node, moments.terms, node) * moments.share
@@ -144,7 +145,9 @@ class _Moments:
     weight: Floats
     share: Floats
 
-    def scatter(self, moved: Floats, inverse: Floats) -> Floats:
+    def scatter(
+        self, moved: NDArray[np.floating[Any]], inverse: NDArray[np.floating[Any]]
+    ) -> Floats:
         """`[T, 3]` standard deviation of single samples around the fit, less what was fitted."""
         explained = 2 * np.einsum("nkc,nkc->nc", moved, self.values)
         explained -= np.einsum("nkc,nkl,nlc->nc", moved, self.terms, moved)

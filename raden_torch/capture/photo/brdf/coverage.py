@@ -219,10 +219,3 @@ def _direction(v: Floats) -> str:
 
 def _apart_deg(a: Floats, b: Floats) -> float:
     return float(np.degrees(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b))))
-
-
-def lamp_distance(position: Floats | None, middle: Floats) -> float | None:
-    """Of near lamps from the sample's middle, the median; None for far ones."""
-    if position is None:
-        return None
-    return float(np.median(np.linalg.norm(position - middle, axis=1)))

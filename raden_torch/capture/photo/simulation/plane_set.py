@@ -32,7 +32,8 @@ from raden_torch.capture.photo.simulation.scene import (
 )
 
 _MIDDLE = np.array([88.0, -56.0, 0.0])
-_CAMERA_MM, _LAMP_MM = 950.0, 620.0
+_CAMERA_MM, _LAMP_MM = 950.0, 1150.0
+"""Lamps stand behind the camera's distance, so that none is in the picture."""
 _SPECIMEN_MM, _WHITE_MM = (48.0, 32.0, 32.0, 32.0), (112.0, 48.0, 16.0, 16.0)
 """x, y, width and height on the board."""
 _ABOVE_MM, _BALL_MM = 0.02, 20.0

@@ -46,7 +46,7 @@ class Options:
         shape: "sphere" or "plane".
         lamps: how many.
         views: places of the camera, for a plane.
-        near: lamps at 0.55 to 0.7 m instead of 20 m.
+        near: lamps at 0.75 to 1.3 m instead of 200 m.
         width: of the photographs in pixels; the height is two thirds of it.
         bits: of the camera's converter; 8 stores 8-bit files.
         stack: exposures a photograph, each four times as long as the one before.

@@ -111,6 +111,7 @@ def _lamps_around(at: Floats, phases: Floats, near: bool, rng: np.random.Generat
         way = np.array(
             [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
         )
-        distance = rng.uniform(550, 700) if near else FAR_MM
+        # farther than the camera, so that none is in the picture
+        distance = rng.uniform(750, 900) if near else FAR_MM
         lamps.append(lamp_at(at + distance * way, distance, rng.uniform(0.8, 1.2)))
     return lamps

@@ -1,0 +1,85 @@
+"""`raden capture brdf` as a user calls it, with colour and an exposure stack; its files."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from raden_torch.capture.importers import load_measurement
+
+
+def raden(*arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "raden_torch.cli", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def colour_file(path: Path, matrix: np.ndarray) -> Path:
+    said = {"format": "raden capture", "version": 1, "kind": "colour", "made_from": []}
+    said |= {"method": "least squares", "matrix": matrix.tolist()}
+    said |= {"left_out_delta_e_2000": {"least squares": {"mean": 0.5, "worst": 1.0}}}
+    path.write_text(json.dumps(said))
+    return path
+
+
+@pytest.mark.slow
+def test_the_command_and_its_files(sphere: Any, tmp_path: Path) -> None:
+    """Camera RGB of known matrix, two exposures a lamp: XYZ, its report, a picture to look at."""
+    to_xyz = np.array([[0.6, 0.25, 0.1], [0.3, 0.65, 0.05], [0.02, 0.1, 0.97]])
+    series = sphere.series(lamps=sphere.triples, radius=70.0, exposure=0.5, noise=0.001)
+    stacks = []
+    for path in series.photos:  # the longer exposure is clipped in the ridge
+        short = path.with_name(path.stem + "_short.png")
+        bright = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        cv2.imwrite(str(short), (bright.astype(float) / 4).round().astype(np.uint16))
+        stacks += [path, short]
+    colour = colour_file(tmp_path / "colour.json", to_xyz)
+    out = tmp_path / "shell.csv"
+    done = raden(
+        *("capture", "brdf", *stacks, "--stack", 2, "--exposure", 0.4, "--exposure", 0.1),
+        *("--shape", "sphere", "--mask", series.mask, "--lights", series.lights),
+        *("--colour", colour, "--white-mask", series.white, "--white-factor", 90),
+        *("--white-std", 1.5, "--coded", "linear", "--simulated", "--lamp-std", 0.1, "-o", out),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "samples from 9 photographs" in done.stdout
+    assert "next: the lamp" in done.stdout
+    m = load_measurement(out)
+    assert m.channels == ("X", "Y", "Z")
+    assert m.metadata.simulated
+    assert m.metadata.common.scale_std == pytest.approx(0.015)
+    # the white is grey to the camera: so is the matrix' own white
+    white = np.array([95.047, 100.0, 108.883])
+    truth = sphere.truth() @ to_xyz.T / to_xyz.sum(axis=1) * white / 100
+    relative = np.abs(m.values / truth - 1).max(axis=1)[m.valid]
+    assert np.median(relative) < 0.01
+    report = json.loads(out.with_suffix(".json").read_text())
+    assert report["kind"] == "brdf"
+    assert report["samples"] > 30_000
+    assert len(report["photographs"]) == 9
+    assert min(cv2.imread(str(out.with_suffix(".png"))).shape[:2]) > 500
+
+
+def test_what_is_wrong_is_one_line_and_no_file(sphere: Any, tmp_path: Path) -> None:
+    series = sphere.series(4, radius=40.0)
+    out = tmp_path / "shell.csv"
+    done = raden(
+        *("capture", "brdf", *series.photos, series.photos[0], "--shape", "sphere"),
+        *("--mask", series.mask, "--lights", series.lights, "--white-mask", series.white),
+        *("--white-factor", 90, "-o", out),
+    )
+    assert done.returncode == 2
+    assert "photo0.png: its lamp is not in" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not out.exists()
+    assert not out.with_suffix(".json").exists()
