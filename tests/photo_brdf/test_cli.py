@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.photo.brdf.chart_white import chart_white
 
 
 def raden(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -83,3 +84,45 @@ def test_what_is_wrong_is_one_line_and_no_file(sphere: Any, tmp_path: Path) -> N
     assert done.stderr.count("\n") == 1
     assert not out.exists()
     assert not out.with_suffix(".json").exists()
+
+
+def test_the_chart_s_white_patch_is_the_white(tmp_path: Path) -> None:
+    """Its place follows from the chart's corners, its factor from the edition."""
+    colour = colour_file(tmp_path / "colour.json", np.eye(3))
+    said = json.loads(colour.read_text())
+    said |= {"chart": "ColorChecker Classic, edition 2014"}
+    said |= {"chart_corners_px": [[100, 50], [700, 50], [700, 450], [100, 450]]}
+    colour.write_text(json.dumps(said))
+    corners, factor = chart_white(colour, None, None, 1.0)
+    assert corners is not None
+    np.testing.assert_allclose(corners, [[120, 370], [180, 370], [180, 430], [120, 430]], atol=1e-3)
+    assert 85 < factor.xyz[1] < 95
+    assert factor.relative_std == pytest.approx(0.01)
+    _, stated = chart_white(colour, "90,94,101", None, 0.0)
+    assert stated.xyz.tolist() == [90, 94, 101]
+
+
+def test_a_measured_white_is_looked_up_at_its_own_geometry(sphere: Any, tmp_path: Path) -> None:
+    """A file that says the same everywhere gives what the one number gives; and a sphere without a
+    mask is found."""
+    from dataclasses import replace
+
+    from raden_torch.capture.photo.brdf.white import D65_XYZ, WhiteFactor
+    from raden_torch.capture.photo.capture_brdf import capture_brdf
+    from raden_torch.measurement import BrdfMeasurement
+
+    angles = np.stack(np.meshgrid([0.0, 40, 85], [-85.0, 0, 85], [-85.0, 0, 85], indexing="ij"), -1)
+    angles = angles.reshape(-1, 3)
+    white = BrdfMeasurement(*angles.T, values=np.tile(0.9 * D65_XYZ, (len(angles), 1)))
+    white.save(tmp_path / "white.csv")
+    series = sphere.series(lamps=sphere.triples, radius=60.0)
+    arguments = sphere.arguments(series)
+    constant = capture_brdf(**arguments).measurement
+    arguments["factor"] = WhiteFactor(D65_XYZ, tmp_path / "white.csv")
+    looked_up = capture_brdf(**arguments).measurement
+    np.testing.assert_allclose(looked_up.values, constant.values, rtol=1e-6)
+    arguments["sample"] = replace(arguments["sample"], mask=None)  # and the sphere is found
+    found = capture_brdf(**arguments).measurement
+    both = found.valid & constant.valid
+    assert both.sum() > 0.9 * constant.valid.sum()
+    assert np.median(np.abs(found.values / constant.values - 1)[both]) < 0.02
