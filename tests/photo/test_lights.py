@@ -291,3 +291,14 @@ def test_the_real_chrome_ball(shared: Path) -> None:
     seen = find_ball([cv2.imread(str(folder / f"gray.{k}.png")) / 255 for k in range(12)])
     assert np.hypot(seen.x_px - grey.x_px, seen.y_px - grey.y_px) < 1.5
     assert abs(seen.radius_px - grey.radius_px) < 1
+
+
+def test_a_small_highlight_is_found_between_the_pixels() -> None:
+    """As wide as the lens is sharp: what is below half of its peak tells where it lies."""
+    mask = disc(60.3, 58.8, 45.0)
+    ball = ball_from_mask(mask)
+    y, x = np.mgrid[: mask.shape[0], : mask.shape[1]]
+    for true in ([50.0, 60.0], [50.25, 60.5], [49.6, 60.1]):
+        tent = np.clip(1.5 - abs(x - true[0]), 0, 1) * np.clip(1.5 - abs(y - true[1]), 0, 1)
+        found = find_highlight(np.repeat((0.01 + 0.8 * tent)[..., None], 3, 2), ball)
+        np.testing.assert_allclose([found.x_px, found.y_px], true, atol=0.06)

@@ -343,3 +343,16 @@ def test_the_order_of_the_real_photographs(real) -> None:
         assert wrong is not None
         assert wrong.doubtful
         assert wrong.order == tuple(range(11, -1, -1))
+
+
+def test_lamps_on_opposite_sides_are_compared_through_those_between() -> None:
+    """No pixel of a ball is lit by the first lamp and by the last."""
+    normal, mask = sphere()
+    phase = torch.linspace(-75, 110, 12, dtype=torch.float64).deg2rad()
+    lights = torch.stack([phase.sin(), 0.1 * phase.cos(), phase.cos()], 1)
+    lights = lights / lights.norm(dim=1, keepdim=True)
+    true = torch.linspace(0.7, 1.3, 12, dtype=torch.float64)
+    stains = 0.3 + 0.6 * torch.rand(1, 1, N, N, generator=torch.Generator().manual_seed(4)).double()
+    images = matt(normal, lights, stains) * true.view(-1, 1, 1, 1)
+    found = relative_intensities(images, lights, normal, mask > 0)
+    torch.testing.assert_close(found, true / true.mean(), rtol=1e-3, atol=1e-3)

@@ -92,9 +92,9 @@ class Calibration:
 def calibrate(views: Sequence[BoardView]) -> Calibration:
     """Calibrate a camera on three or more views of a board from different directions.
 
-    Zhang's method through OpenCV, with k1, k2, p1, p2; k3 stays 0, as it mostly fits noise. So do k2,
-    and p1 and p2, where they are less than twice their standard deviation: behind a long lens they
-    bend the picture's corners by pixels to gain a thousandth of a pixel on the boards.
+    Zhang's method through OpenCV, with k1, k2, p1, p2; k3 stays 0, as it mostly fits noise. So do
+    k2, and p1 and p2, where they are less than twice their standard deviation: behind a long lens
+    they bend the picture's corners by pixels to gain a thousandth of a pixel on the boards.
 
     Raises:
         InputError: too few views, or of different sizes.

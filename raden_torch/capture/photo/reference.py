@@ -68,8 +68,9 @@ def relative_intensities(
     """`[K]` relative intensities of mean 1 from a matt reference under the same lamps.
 
     Log I_k − log N·L_k is a sum of the lamp's brightness and the pixel's albedo; both are found by
-    medians in turn (Tukey's median polish), over the pixels that each lamp lights well. So stains do
-    not matter, nor that no pixel is lit by lamps on opposite sides, if lamps between them link them.
+    medians in turn (Tukey's median polish), over the pixels that each lamp lights well. So stains
+    do not matter, nor that no pixel is lit by lamps on opposite sides, if lamps between them link
+    them.
 
     Args:
         images: `[K, C, H, W]` linear light.
@@ -94,8 +95,8 @@ def relative_intensities(
     if fewest < _FEWEST:
         dark = int(good.sum(dim=1).argmin())
         raise InputError(
-            f"reference: {fewest} of its pixels are lit well by lamp {dark + 1} and by another, and "
-            f"not saturated; at least {_FEWEST} were wanted"
+            f"reference: {fewest} of its pixels are lit well by lamp {dark + 1} and by another, "
+            f"and not saturated; at least {_FEWEST} were wanted"
         )
     found = torch.where(good, ratio, torch.nan).nanmedian(dim=1).values
     if not bool((found > 0).all()):
