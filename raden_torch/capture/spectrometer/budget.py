@@ -29,10 +29,11 @@ from raden_torch.capture.spectrometer.journal import Header
 from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.white import White
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.common_errors import CommonErrors, Triple, zero_sensitivity
+from raden_torch.measurement.common_errors import CommonErrors, zero_sensitivity
+from raden_torch.measurement.error_parts import zero_effects
 from raden_torch.measurement.slopes import slopes_per_deg
 
-_POOLED = 4.0
+_POOLED = 4.0  # degrees of freedom; see `repeatability`
 
 
 @dataclass(frozen=True)
@@ -92,17 +93,18 @@ def common_errors(header: Header, white_mean_std: float) -> CommonErrors:
 
 
 def geometry_terms(measurement: BrdfMeasurement, header: Header) -> GeometryTerms:
-    """From the slopes of the measured values; they are the measurement's own, with its noise."""
-    m, common = measurement, measurement.metadata.common
+    """From the slopes of the measured values; they are the measurement's own, with its noise.
+
+    What the zeros do is what a comparison will take out again: the same function says it.
+    """
+    m = measurement
     angles = np.stack([m.incidence_deg, m.receiving_deg, m.tilt_deg], axis=1)
-    slopes = slopes_per_deg(m)
-    # a move of the sample leaves the white where it was
-    own_white = None if common.white_deg is None else (0.0, 0.0, 0.0)
-    moved = zero_sensitivity(m.values, angles, slopes, own_white)
-    zeroed = zero_sensitivity(m.values, angles, slopes, common.white_deg)
+    # a move to the sample is none to the white: where that stands does not matter
+    upright = None if m.metadata.common.white_deg is None else (0.0, 0.0, 0.0)
+    moved = zero_sensitivity(m.values, angles, slopes_per_deg(m), upright)
     return GeometryTerms(
-        _in_quadrature(moved, header.stated.position_std_deg),
-        _in_quadrature(zeroed, header.stated.zero_std_deg),
+        _in_quadrature(moved * np.array(header.stated.position_std_deg)),
+        _in_quadrature(zero_effects(m)),
     )
 
 
@@ -136,5 +138,5 @@ def white_move_std(header: Header) -> float:
     return float(np.hypot(*(tangents * np.radians([stated[0], stated[2]]))))
 
 
-def _in_quadrature(sensitivity: Floats, std_deg: Triple) -> Floats:
-    return np.asarray(np.sqrt(((sensitivity * np.array(std_deg)) ** 2).sum(axis=-1)))
+def _in_quadrature(effects: Floats) -> Floats:
+    return np.asarray(np.sqrt((effects**2).sum(axis=-1)))
