@@ -123,6 +123,52 @@ def start_and_wait(rig: SimulatedRig, output: Path) -> subprocess.Popen[str]:
     return process
 
 
+ADAPTIVE = ("--adaptive", "--step", "35", "--readings", "60")
+
+
+@pytest.mark.slow
+def test_an_adaptive_scan_killed_and_resumed(rig: SimulatedRig, tmp_path: Path) -> None:
+    """Rationale: decisions are kept. Expected: killed after one, then resumed without its options,
+    the scan reads the cells of the undisturbed one, and measures the same."""
+    whole, killed = tmp_path / "whole.csv", tmp_path / "killed.csv"
+    common = ("scan", "--config", rig.config_path)
+    done = raden(*common, *ADAPTIVE, "-o", whole)
+    assert done.returncode == 0, done.stderr
+    assert "decisions: " in done.stdout
+    process = subprocess.Popen(
+        [*COMMAND, *common, *ADAPTIVE, "-o", killed],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env=ENVIRONMENT,
+    )
+    journal = tmp_path / "killed.journal.jsonl"
+    deadline = time.monotonic() + 120
+    while not journal.exists() or not read_journal(journal).decisions:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process.kill()
+    process.wait(60)
+    done = raden(*common, "-o", killed, "--resume")
+    assert done.returncode == 0, done.stderr
+    assert rt.load_measurement(killed).values == pytest.approx(
+        rt.load_measurement(whole).values, rel=1e-12, nan_ok=True
+    )
+    steps = [[t.step for t in read_journal(path).taken] for path in tmp_path.glob("*.jsonl")]
+    assert steps[0] == steps[1]
+    assert len(steps[0]) == 60
+
+
+def test_an_adaptive_plan_forecast_and_refused(rig: SimulatedRig, tmp_path: Path) -> None:
+    common = ("scan", "--config", rig.config_path)
+    done = raden(*common, *ADAPTIVE, "--dry-run")
+    assert done.returncode == 0, done.stderr
+    assert "at most" in done.stdout
+    assert "60 readings" in done.stdout
+    assert "--adaptive refines a grid" in refusal(
+        raden(*common, "--adaptive", "--plan", "random", "-o", tmp_path / "x.csv")
+    )
+
+
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 def test_signals_that_interrupt(name: str) -> None:
     number = getattr(signal, name)

@@ -55,12 +55,13 @@ def estimate(readings: BrdfMeasurement, candidates: Floats) -> Estimate:
     errors, unit = kriging.leave_one_out()
     square = errors[:, _LUMINANCE] ** 2 / known.spread
     _, around = kriging.nearest(candidates, _AROUND)
+    total, states = square[around].sum(axis=1), (unit**2)[around].sum(axis=1)
     # a left-out error holds the reading's own noise, and about half as much of its neighbours'
-    change = np.maximum(square[around].sum(axis=1) - 1.5 * noise[around].sum(axis=1), 0)
-    change = np.maximum(change, _LEAST_SHARE * square[around].sum(axis=1))
-    steady = np.maximum(unit**2 - noise, 1e-9)
+    own = noise[around].sum(axis=1)
+    change = np.maximum(total - 1.5 * own, 0) / np.maximum(states - own, 1e-9)
+    change = np.clip(change, _LEAST_SHARE * total / states, total / states)
     mean, std = kriging.with_std(candidates)
-    log_error = std * np.sqrt(known.spread * change / steady[around].sum(axis=1))
+    log_error = std * np.sqrt(known.spread * change)
     y = np.maximum(np.exp(mean[:, _LUMINANCE]) - FLOOR, 0)
     slope = log_error * (FLOOR + y)  # of Y over its logarithm
     level = max(float(np.quantile(np.exp(logs) - FLOOR, 0.999)), 1e-9)
