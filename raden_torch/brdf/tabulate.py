@@ -116,8 +116,9 @@ def _check_coverage(measurement: BrdfMeasurement) -> None:
         return
     advice = dict(measurement.metadata.other).get("next", "")
     raise InputError(
-        f"measurement: {100 * share:.1f} % of its {len(measurement)} cells hold a reading; at least "
-        f"{100 * LEAST_COVERAGE:g} % were wanted, since the rest is guessed from them; measure more"
+        f"measurement: {100 * share:.1f} % of its {len(measurement)} cells hold a reading; "
+        f"{100 * LEAST_COVERAGE:g} % at least were wanted, since the rest is guessed from them; "
+        "measure more"
         + (f", with {advice}" if advice else "")
     )
 

@@ -202,7 +202,7 @@ class Journal(Protocol):
 
     contents: Contents
 
-    def append(self, record: Taken | Reference | Fault | Session) -> None: ...
+    def append(self, record: Record) -> None: ...
 
 
 class JournalFile:
