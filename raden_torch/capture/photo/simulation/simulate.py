@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -110,13 +111,28 @@ def simulate_photographs(
     mi = mitsuba(options.variant)
     material = material_of(options.material)
     plan = _plan(mi, options)
-    folder.mkdir(parents=True, exist_ok=True)
-    taken = _Shoot(mi, folder, plan, material, options, done)
-    taken.boards()
-    taken.lamps_and_chart()
-    truth_of(mi, material).save(folder / "truth.csv")
-    write_truth(folder, plan, material, taken.names, taken.seconds, options.stack, options.variant)
+    with _whole_folder(folder) as beside:
+        taken = _Shoot(mi, beside, plan, material, options, done)
+        taken.boards()
+        taken.lamps_and_chart()
+        truth_of(mi, material).save(beside / "truth.csv")
+        write_truth(
+            beside, plan, material, taken.names, taken.seconds, options.stack, options.variant
+        )
     return commands(plan, taken.names, options.stack)
+
+
+@contextmanager
+def _whole_folder(folder: Path) -> Iterator[Path]:
+    """A folder beside it, renamed when all is in it and removed where it is not finished."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside:
+        inside = Path(beside) / folder.name
+        inside.mkdir()
+        yield inside
+        if folder.is_dir():
+            folder.rmdir()  # it was empty
+        inside.rename(folder)
 
 
 def _plan(mi: Any, options: Options) -> PhotoPlan:
