@@ -18,6 +18,7 @@ from raden_torch.capture.photo.simulation.materials import Material, material_of
 from raden_torch.capture.photo.simulation.photo_file import write_photograph
 from raden_torch.capture.photo.simulation.plan import (
     FACING,
+    WHITE,
     PhotoPlan,
     Shot,
     camera_of,
@@ -34,7 +35,7 @@ from raden_torch.images.exr import write_channels
 from raden_torch.images.pixels import write_pixels
 
 _PEAK = 0.85
-"""Of the white level: what the brightest point of the specimen, or a white, is exposed to."""
+"""Of the white level: what the brightest point of the specimen and of the white is exposed to."""
 _BOARD_LAMP_MM = np.array([150.0, 250.0, 60.0])
 
 
@@ -183,12 +184,12 @@ class _Shoot:
             for k, shot in enumerate(plan.shots):
                 if studio is None or shot.view != view:
                     studio, view = self._studio(plan.views[shot.view]), shot.view
-                    specimen = studio.mask(SPECIMEN) > 0.5
+                    measured = np.maximum(studio.mask(SPECIMEN), studio.mask(WHITE)) > 0.5
                 if k == 0:
                     self._write_masks(studio)
                     self._chart(studio)
                 raws[k] = studio.raw(plan.lamps[shot.lamp])
-                peak = max(peak, float(raws[k][specimen].max()))
+                peak = max(peak, float(raws[k][measured].max()))
                 if shot.view == 0:
                     self._write_ball(shot, raws[k])
             brightest = _PEAK / (peak * plan.camera.sensitivity)
