@@ -280,3 +280,16 @@ def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
     assert "not empty" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert [path.name for path in tmp_path.iterdir()] == ["dear.txt"]
+
+
+def test_what_is_interrupted_leaves_nothing(
+    mi: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(self: Any) -> None:
+        (self._folder / "board_01.png").write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("raden_torch.capture.photo.simulation.simulate._Shoot.boards", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        simulate_photographs(tmp_path / "set", Options(material="white", width=300))
+    assert list(tmp_path.iterdir()) == []

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from raden_torch.capture.photo.simulation.materials import Material, material_of
 from raden_torch.capture.photo.simulation.photo_file import write_photograph
 from raden_torch.capture.photo.simulation.plan import (
     FACING,
+    WHITE,
     PhotoPlan,
     Shot,
     camera_of,
@@ -33,7 +35,7 @@ from raden_torch.images.exr import write_channels
 from raden_torch.images.pixels import write_pixels
 
 _PEAK = 0.85
-"""Of the white level: what the brightest point of the specimen, or a white, is exposed to."""
+"""Of the white level: what the brightest point of the specimen and of the white is exposed to."""
 _BOARD_LAMP_MM = np.array([150.0, 250.0, 60.0])
 
 
@@ -110,13 +112,28 @@ def simulate_photographs(
     mi = mitsuba(options.variant)
     material = material_of(options.material)
     plan = _plan(mi, options)
-    folder.mkdir(parents=True, exist_ok=True)
-    taken = _Shoot(mi, folder, plan, material, options, done)
-    taken.boards()
-    taken.lamps_and_chart()
-    truth_of(mi, material).save(folder / "truth.csv")
-    write_truth(folder, plan, material, taken.names, taken.seconds, options.stack, options.variant)
+    with _whole_folder(folder) as beside:
+        taken = _Shoot(mi, beside, plan, material, options, done)
+        taken.boards()
+        taken.lamps_and_chart()
+        truth_of(mi, material).save(beside / "truth.csv")
+        write_truth(
+            beside, plan, material, taken.names, taken.seconds, options.stack, options.variant
+        )
     return commands(plan, taken.names, options.stack)
+
+
+@contextmanager
+def _whole_folder(folder: Path) -> Iterator[Path]:
+    """A folder beside it, renamed when all is in it and removed where it is not finished."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}.") as beside:
+        inside = Path(beside) / folder.name
+        inside.mkdir()
+        yield inside
+        if folder.is_dir():
+            folder.rmdir()  # it was empty
+        inside.rename(folder)
 
 
 def _plan(mi: Any, options: Options) -> PhotoPlan:
@@ -167,12 +184,12 @@ class _Shoot:
             for k, shot in enumerate(plan.shots):
                 if studio is None or shot.view != view:
                     studio, view = self._studio(plan.views[shot.view]), shot.view
-                    specimen = studio.mask(SPECIMEN) > 0.5
+                    measured = np.maximum(studio.mask(SPECIMEN), studio.mask(WHITE)) > 0.5
                 if k == 0:
                     self._write_masks(studio)
                     self._chart(studio)
                 raws[k] = studio.raw(plan.lamps[shot.lamp])
-                peak = max(peak, float(raws[k][specimen].max()))
+                peak = max(peak, float(raws[k][measured].max()))
                 if shot.view == 0:
                     self._write_ball(shot, raws[k])
             brightest = _PEAK / (peak * plan.camera.sensitivity)
