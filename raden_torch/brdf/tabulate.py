@@ -118,8 +118,7 @@ def _check_coverage(measurement: BrdfMeasurement) -> None:
     raise InputError(
         f"measurement: {100 * share:.1f} % of its {len(measurement)} cells hold a reading; "
         f"{100 * LEAST_COVERAGE:g} % at least were wanted, since the rest is guessed from them; "
-        "measure more"
-        + (f", with {advice}" if advice else "")
+        "measure more" + (f", with {advice}" if advice else "")
     )
 
 

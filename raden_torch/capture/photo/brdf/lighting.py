@@ -60,8 +60,7 @@ def lamps_of_shots(
         seen_in: the pose of the board in the photograph in whose frame the lights file is, where
             the lamps stand still beside the board and the camera moves; None: they stand still
             beside the camera.
-        std_deg: of the directions; None: from how far the rays to near lamps miss each other, at
-            least and for far lamps `LAMP_STD_DEG`.
+        std_deg: of the directions; None: `LAMP_STD_DEG`.
 
     Raises:
         InputError: positions in another unit than the camera's, or a shot without a pose.

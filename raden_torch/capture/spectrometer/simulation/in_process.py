@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.journal import Contents, Fault, Header, Reference, Session
+from raden_torch.capture.spectrometer.journal import Contents, Header, Record
 from raden_torch.capture.spectrometer.lab_report import now_utc
-from raden_torch.capture.spectrometer.plan import Plan, Taken
+from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.ports import (
     Colorimeter,
     ColorReading,
@@ -86,7 +86,7 @@ class _Memory:
 
     contents: Contents
 
-    def append(self, record: Taken | Reference | Fault | Session) -> None:
+    def append(self, record: Record) -> None:
         self.contents.add(record)
 
 
