@@ -52,6 +52,26 @@ CodedOption = Annotated[
 ]
 
 
+PatternOption = Annotated[
+    str | None, typer.Option("--pattern", help="of a raw Bayer mosaic: RGGB, BGGR, GRBG, GBRG")
+]
+WhiteLevelOption = Annotated[
+    float | None,
+    typer.Option("--white-level", help="stored value at which the sensor saturates, as 4095"),
+]
+DarkOption = Annotated[
+    list[Path] | None,
+    typer.Option("--dark", help="frame with the lens covered; may be repeated"),
+]
+DarkExposureOption = Annotated[
+    list[float] | None,
+    typer.Option("--dark-exposure", help="seconds, for each dark frame; else from EXIF"),
+]
+FlatOption = Annotated[
+    Path | None, typer.Option("--flat", help="photograph of an even white sheet")
+]
+
+
 @capture.callback()
 def steps() -> None:
     """From photographs: the camera, its colour, the light and the normals."""
@@ -103,22 +123,14 @@ def colour(
         typer.Option(help='of the chart, where it is not found: pixels as "x,y x,y x,y x,y"'),
     ] = None,
     coded: CodedOption = Coded.auto,
-    pattern: Annotated[
-        str | None, typer.Option(help="of a raw Bayer mosaic: RGGB, BGGR, GRBG, GBRG")
-    ] = None,
-    white_level: Annotated[
-        float | None, typer.Option(help="stored value at which the sensor saturates, as 4095")
-    ] = None,
+    pattern: PatternOption = None,
+    white_level: WhiteLevelOption = None,
     exposure: Annotated[
         list[float] | None, typer.Option(help="seconds, for each photograph; else from EXIF")
     ] = None,
-    dark: Annotated[
-        list[Path] | None, typer.Option(help="frame with the lens covered; may be repeated")
-    ] = None,
-    dark_exposure: Annotated[
-        list[float] | None, typer.Option(help="seconds, for each dark frame; else from EXIF")
-    ] = None,
-    flat: Annotated[Path | None, typer.Option(help="photograph of an even white sheet")] = None,
+    dark: DarkOption = None,
+    dark_exposure: DarkExposureOption = None,
+    flat: FlatOption = None,
     response: Annotated[
         bool, typer.Option("--response", help="recover the camera's curve from the stack (8-bit)")
     ] = False,

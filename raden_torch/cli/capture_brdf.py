@@ -8,7 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from raden_torch.cli.capture import Coded, CodedOption, Picture, capture
+from raden_torch.cli.capture import (
+    Coded,
+    CodedOption,
+    DarkExposureOption,
+    DarkOption,
+    FlatOption,
+    PatternOption,
+    Picture,
+    WhiteLevelOption,
+    capture,
+)
 from raden_torch.cli.common import progress, triple
 from raden_torch.errors import InputError
 
@@ -114,19 +124,11 @@ def brdf(
         typer.Option(help="seconds, for each file or for those of a stack; else from EXIF"),
     ] = None,
     coded: CodedOption = Coded.auto,
-    pattern: Annotated[
-        str | None, typer.Option(help="of a raw Bayer mosaic: RGGB, BGGR, GRBG, GBRG")
-    ] = None,
-    white_level: Annotated[
-        float | None, typer.Option(help="stored value at which the sensor saturates, as 4095")
-    ] = None,
-    dark: Annotated[
-        list[Path] | None, typer.Option(help="frame with the lens covered; may be repeated")
-    ] = None,
-    dark_exposure: Annotated[
-        list[float] | None, typer.Option(help="seconds, for each dark frame; else from EXIF")
-    ] = None,
-    flat: Annotated[Path | None, typer.Option(help="photograph of an even white sheet")] = None,
+    pattern: PatternOption = None,
+    white_level: WhiteLevelOption = None,
+    dark: DarkOption = None,
+    dark_exposure: DarkExposureOption = None,
+    flat: FlatOption = None,
     step: Annotated[float, typer.Option(help="of the grid, degrees")] = 5.0,
     name: Annotated[str, typer.Option(help="of the sample")] = "",
     simulated: Annotated[

@@ -20,7 +20,7 @@ tan of incidence and of tilt alone: receiving does not change the irradiance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from raden_torch.capture.spectrometer.journal import Header
 from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.white import White
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.measurement.budget_terms import BudgetTerms
 from raden_torch.measurement.common_errors import CommonErrors, zero_sensitivity
 from raden_torch.measurement.error_parts import zero_effects
 from raden_torch.measurement.slopes import slopes_per_deg
@@ -36,8 +37,8 @@ from raden_torch.measurement.slopes import slopes_per_deg
 _POOLED = 4.0  # degrees of freedom; see `repeatability`
 
 
-@dataclass(frozen=True)
-class Budget:
+@dataclass(frozen=True, eq=False)
+class Budget(BudgetTerms):
     """Standard deviations (k = 1) of the reflectance factors, term by term, `[M, 3]` each.
 
     What each is, and what it is shared with, is in the module's table.
@@ -50,20 +51,6 @@ class Budget:
     positioning: Floats
     zeros: Floats
     colour: Floats
-    scale: Floats
-
-    @property
-    def total(self) -> Floats:
-        """All terms but `scale`, in quadrature: what a measurement carries as its `std`.
-
-        The scale is common to all cells, so it would only hide how well they compare.
-        """
-        squares = [term**2 for name, term in self.terms().items() if name != "scale"]
-        return np.sqrt(np.sum(squares, axis=0))
-
-    def terms(self) -> dict[str, Floats]:
-        """`[M, 3]` by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 @dataclass(frozen=True)

@@ -19,20 +19,21 @@ intensities is in `white`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from raden_torch.capture.photo.brdf.cell_sums import NodeValues
 from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
 from raden_torch.capture.photo.brdf.white import Scale
+from raden_torch.measurement.budget_terms import BudgetTerms
 
 _OF_LIGHTNESS = 1 / np.sqrt(3.0)
 """Share of a colour difference that is one of lightness, where nothing is known of its kind."""
 
 
 @dataclass(frozen=True, eq=False)
-class PhotoBudget:
+class PhotoBudget(BudgetTerms):
     """Standard deviations (k = 1) of the reflectance factors, term by term, `[M, 3]` each.
 
     What each is, and what it is shared with, is in the module's table.
@@ -43,20 +44,6 @@ class PhotoBudget:
     white: Floats
     geometry: Floats
     colour: Floats
-    scale: Floats
-
-    @property
-    def total(self) -> Floats:
-        """All terms but `scale`, in quadrature: what the measurement carries as its `std`.
-
-        The scale is common to all cells, so it would only hide how well they compare.
-        """
-        squares = [term**2 for name, term in self.terms().items() if name != "scale"]
-        return np.sqrt(np.sum(squares, axis=0))
-
-    def terms(self) -> dict[str, Floats]:
-        """`[M, 3]` by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def direction_slopes(value: Floats, slope: Floats, nodes_deg: Floats) -> Floats:
