@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import Contents, JournalFile, read_journal
 from raden_torch.capture.spectrometer.lab_report import make_report
-from raden_torch.capture.spectrometer.plan import grid, make_plan
+from raden_torch.capture.spectrometer.plan import make_plan
 from raden_torch.capture.spectrometer.ports import Position
 from raden_torch.capture.spectrometer.reduction import Reduced, reduce_readings
 from raden_torch.capture.spectrometer.scan import run_scan

@@ -89,7 +89,7 @@ class AdaptivePlan(Plan):
             return end("every cell is read" if all_read else f"{self.budget} cells are the budget")
         gain = found.gain[_is_in(self.candidates, left)]
         cells = left[choose(gain, left, self.cells, count)]
-        share = gain[_is_in(left, cells)].sum() / gain.sum()
+        share = gain[_is_in(left, cells)].sum() / max(gain.sum(), np.finfo(float).tiny)
         return Decision(
             taken,
             _from(self.cells[-1], cells[short_order(cells)]),
