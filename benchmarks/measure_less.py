@@ -150,7 +150,7 @@ def plot(rows: list[dict[str, object]], path: Path) -> None:
             ax.set_xlabel("readings (line: 40 % of the full grid)")
             ax.set_ylabel(labels[error])
             ax.set_xticks([2000, 5000, 12000], ["2000", "5000", "12000"])
-            ax.minorticks_off()
+            ax.set_xticks([], minor=True)
             ax.grid(alpha=0.3)
     axes[0][0].legend(fontsize=8)
     with written_beside(path) as temporary:
