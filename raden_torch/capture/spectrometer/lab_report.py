@@ -117,13 +117,19 @@ class LabReport:
     def __str__(self) -> str:
         return "\n".join(f"{name}: {text}" for name, text in self.entries())
 
+    def _travel(self) -> str:
+        travel = f"{self.travel_deg:.0f} deg, summed over the axes"
+        if self.decisions:  # nobody gave an order of cells that were not known
+            return travel
+        ratio = self.as_given_deg / self.travel_deg if self.travel_deg else 1.0
+        return f"{travel}; in the order given {self.as_given_deg:.0f} ({ratio:.2g} times)"
+
     def entries(self) -> tuple[tuple[str, str], ...]:
         """Name and text, line by line: as they stand in the measurement's file, too."""
         kind = " (simulated)" if self.simulated else ""
         reciprocity, percent = self.reciprocity, _percent
         excluded = sum(self.excluded.values())
         reasons = "; ".join(f"{why}: {count}" for why, count in self.excluded.items())
-        ratio = self.as_given_deg / self.travel_deg if self.travel_deg else 1.0
         return (
             ("scan", f"{self.sample or 'unnamed sample'}, {self.plan}{kind}"),
             ("plan hash", self.plan_hash),
@@ -178,11 +184,7 @@ class LabReport:
                 if self.spectral
                 else "of X, Y and Z: exact for a lamp with the spectrum of D65",
             ),
-            (
-                "travel",
-                f"{self.travel_deg:.0f} deg, summed over the axes; in the order given "
-                f"{self.as_given_deg:.0f} ({ratio:.2g} times)",
-            ),
+            ("travel", self._travel()),
             (
                 "faults",
                 ", ".join(f"{kind} {count}" for kind, count in sorted(self.faults.items()))
