@@ -64,7 +64,7 @@ def test_fit_refuses_a_nearly_empty_grid_with_the_advice_of_its_file(sphere: Any
     rows = np.flatnonzero(found.valid)[::40]
     kept = np.zeros(len(found), bool)
     kept[rows] = True
-    with pytest.raises(InputError, match=r"% of the 12615 cells .* with the lamp \d+ deg towards"):
+    with pytest.raises(InputError, match=r"% of its 12615 cells .* with the lamp \d+ deg towards"):
         rt.fit(replace(found, valid=kept))
 
 
