@@ -75,6 +75,7 @@ struct Tile {
         if (none == 0) return;
         if (all == (1u << V::lanes) - 1) {
             count = tile_pixels;
+            for (int i = 0; i < tile_pixels; ++i) at[i] = i;  // a map may lie in other strides
             for (int i = 0; i < width; i += V::lanes)
                 least(V::load(mask + i), 1.0f).store(masked + i);
             return;

@@ -557,6 +557,33 @@ def test_skipped_pixels_change_nothing(model, level, mask) -> None:
     )
 
 
+@pytest.mark.parametrize("layout", ["channels last", "columns first"])
+def test_a_mask_over_maps_in_other_strides(model, level, layout) -> None:
+    """Rationale: tiles that a mask covers wholly are copied from such maps pixel by pixel, too.
+    Expected: bit for bit the picture of the same maps in rows."""
+    size = 6, 256
+    generator = torch.Generator().manual_seed(0)
+    normal = torch.randn(1, 3, *size, generator=generator) + torch.tensor([0, 0, 1.5]).view(3, 1, 1)
+    mask = torch.ones(1, 1, *size)
+    mask[..., 70:120] = (torch.rand(50, generator=generator) > 0.5).float()
+    order = (0, 2, 3, 1) if layout == "channels last" else (0, 1, 3, 2)
+    strided = normal.permute(order).contiguous().permute([order.index(k) for k in range(4)])
+    assert torch.equal(strided, normal)
+    assert strided.stride(-1) != 1
+    view = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
+    rows, other = (
+        lit(
+            model,
+            rt.GBuffer(normal=n, view=view, mask=mask),
+            [rt.DirectionalLight((1, 1, 2))],
+            level,
+        )
+        for n in (normal, strided)
+    )
+    assert torch.equal(rows, other)
+    assert float(rows.max()) > 0
+
+
 def test_wrong_batches_of_lights_are_one_line(model) -> None:
     lights = rt.DirectionalLight(torch.ones(3, 3))
     with pytest.raises(InputError, match=r"^[^\n]*broadcast[^\n]*$"):
