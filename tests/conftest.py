@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from raden_torch.measurement import BrdfMeasurement
 
@@ -23,10 +23,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """The same examples in every run; --hypothesis-seed=N looks for others."""
-    settings.register_profile("seeded", derandomize=True)
-    if config.getoption("--hypothesis-seed") is None:
-        settings.load_profile("seeded")
+    """The same examples in every run, however long they take; --hypothesis-seed=N looks for
+    others."""
+    patient = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+    settings.register_profile("other seeds", **patient)
+    settings.register_profile("seeded", derandomize=True, **patient)
+    seed = config.getoption("--hypothesis-seed")
+    settings.load_profile("seeded" if seed is None else "other seeds")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
