@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -113,7 +115,11 @@ def test_any_spot_lights_what_the_eager_form_lights(at, target, outer) -> None:
     spot = rt.SpotLight(at, target, inner_deg=0.5, outer_deg=outer)
     with simd.using(simd.OFF):
         eager = rt.shade(flat, gbuffer, spot)
-    torch.testing.assert_close(rt.shade(flat, gbuffer, spot), eager, rtol=1e-3, atol=1e-4)
+    # the edge of a narrow cone is as uncertain as a cosine's rounding over the cosines it lies between
+    edge = math.cos(math.radians(0.5)) - math.cos(math.radians(outer))
+    rounding = 4 * torch.finfo(torch.float32).eps / edge * float(eager.max())
+    found = rt.shade(flat, gbuffer, spot)
+    torch.testing.assert_close(found, eager, rtol=1e-3, atol=1e-4 + rounding)
 
 
 @needs_kernel
