@@ -115,7 +115,7 @@ def test_any_spot_lights_what_the_eager_form_lights(at, target, outer) -> None:
     spot = rt.SpotLight(at, target, inner_deg=0.5, outer_deg=outer)
     with simd.using(simd.OFF):
         eager = rt.shade(flat, gbuffer, spot)
-    # the edge of a narrow cone is as uncertain as a cosine's rounding over the cosines it lies between
+    # a narrow cone's edge lies between two cosines that hardly differ: their rounding shows
     edge = math.cos(math.radians(0.5)) - math.cos(math.radians(outer))
     rounding = 4 * torch.finfo(torch.float32).eps / edge * float(eager.max())
     found = rt.shade(flat, gbuffer, spot)
