@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -23,6 +23,47 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     if not target.parent.is_dir():
         raise InputError(f"{target}: the folder {target.parent} does not exist; create it first")
     return target
+
+
+def check_output(
+    path: str | os.PathLike[str],
+    suffixes: Sequence[str] = (),
+    *,
+    inputs: Iterable[str | os.PathLike[str] | None] = (),
+) -> Path:
+    """The path, if a command may write its result there; called before any work is done.
+
+    An older file is replaced, unless the command reads it.
+
+    Args:
+        suffixes: of what is written, as ".csv"; any where empty.
+        inputs: the files that the command reads; None stands for one that was not given.
+
+    Raises:
+        InputError: another suffix; a folder that does not exist; or the path is one of the inputs,
+            by whatever name (a link, too).
+    """
+    target = Path(path)
+    if suffixes and target.suffix.lower() not in suffixes:
+        raise InputError(
+            f"{target}: expected a file name that ends in {' or '.join(suffixes)}, "
+            f"got {target.suffix or 'none'}"
+        )
+    check_writable(target)
+    for source in inputs:
+        if source is not None and is_same_file(target, source):
+            raise InputError(
+                f"{target}: is also an input, which would be overwritten; expected another name"
+            )
+    return target
+
+
+def is_same_file(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> bool:
+    """Whether two paths lead to one existing file, through links of either kind."""
+    try:
+        return os.path.samefile(first, second)
+    except OSError:
+        return False
 
 
 @contextmanager

@@ -8,8 +8,9 @@ from typing import Annotated
 
 import typer
 
-from raden_torch.cli.common import app, progress, working
+from raden_torch.cli.common import app, progress, without_other_inputs, working
 from raden_torch.errors import InputError
+from raden_torch.files import check_output
 
 capture = typer.Typer(
     no_args_is_help=True,
@@ -105,6 +106,7 @@ def calibrate(
     from raden_torch.capture.photo.capture_camera import capture_camera
 
     columns, rows = _squares(squares)
+    check_output(output, (".json",), inputs=(*photos, camera))
     board = Board(columns, rows, square, marker, dictionary, legacy)
     print(capture_camera(photos, board, output, camera=camera, picture=picture))
 
@@ -152,6 +154,8 @@ def colour(
         flat,
         response,
     )
+    photos = without_other_inputs(photos, flat, *(dark or ()))
+    check_output(output, (".json",), inputs=(*photos, flat, *(dark or ())))
     marked = None if corners is None else np.array(_points(corners))
     with working("looking for the chart"):
         text = capture_colour(
@@ -201,6 +205,9 @@ def lights(
 
     check_result_path(output)
     shown = picture_path(picture, output)
+    photos = without_other_inputs(photos, reference_mask, *(mask or ()))
+    for path in (output, shown):
+        check_output(path, inputs=(*photos, camera, reference_mask, *(mask or ())))
     if (reference is None) != (reference_mask is None):
         raise InputError("--reference and --reference-mask go together; give both or neither")
     matt = None
@@ -259,6 +266,7 @@ def normals(
 
     if output.exists() and not output.is_dir():
         raise InputError(f"{output}: is a file; name a folder")
+    photos = without_other_inputs(photos, mask)
     with progress("solving normals") as share_done:
         found = capture_normals(
             photos,

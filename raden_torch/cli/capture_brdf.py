@@ -19,8 +19,9 @@ from raden_torch.cli.capture import (
     WhiteLevelOption,
     capture,
 )
-from raden_torch.cli.common import progress, triple
+from raden_torch.cli.common import progress, triple, without_other_inputs
 from raden_torch.errors import InputError
+from raden_torch.files import check_output
 
 if TYPE_CHECKING:
     from raden_torch.capture.photo.brdf.rays import Floats
@@ -152,6 +153,9 @@ def brdf(
     from raden_torch.plots.sheet import save_plot
 
     report, shown = check_outputs(output, picture)
+    photos = without_other_inputs(photos, mask, white_mask, flat, *(dark or ()))
+    for path in (output, report, shown):
+        check_output(path, inputs=(*photos, lights, mask, camera, colour, white_mask, white_file))
     if (lamps_stand is Stand.board) != (lights_seen_in is not None):
         raise InputError("--lamps-stand board and --lights-seen-in go together; give both")
     how = Development(

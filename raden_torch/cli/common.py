@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from raden_torch.errors import InputError
+from raden_torch.files import is_same_file
 
 if TYPE_CHECKING:
     from raden_torch.brdf.lights import Light
@@ -24,6 +25,45 @@ app = typer.Typer(
 )
 
 ModelFile = Annotated[Path, typer.Argument(help="a model that `raden fit` wrote")]
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"raden {version('raden_torch')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_say_version, is_eager=True, help="say the version and exit"
+        ),
+    ] = False,
+) -> None:
+    """Measure how mother-of-pearl reflects, keep it as a small model, light images with it."""
+
+
+def without_other_inputs(files: Sequence[Path], *others: Path | None) -> list[Path]:
+    """A list of files less those that are given as another input of the same command.
+
+    A pattern such as `chrome.*.png` matches the mask `chrome.mask.png`, too. What is left out is
+    said on stderr. An EXR stays: it may hold a picture and its normals.
+
+    Raises:
+        InputError: nothing is left.
+    """
+    given = [other for other in others if other is not None and other.suffix.lower() != ".exr"]
+    kept = [file for file in files if not any(is_same_file(file, other) for other in given)]
+    left_out = [str(file) for file in files if file not in kept]
+    if left_out:
+        typer.echo(f"raden: left out, given as another input: {', '.join(left_out)}", err=True)
+    if not kept:
+        raise InputError("expected files besides the other inputs, got none")
+    return kept
 
 
 @contextmanager

@@ -9,7 +9,7 @@ import typer
 
 from raden_torch.cli.common import ModelFile, app, triple, working
 from raden_torch.errors import InputError
-from raden_torch.files import check_writable
+from raden_torch.files import check_output
 
 if TYPE_CHECKING:
     from raden_torch.brdf.model import RadenBrdf
@@ -40,7 +40,7 @@ def fit(
     """Fit a model to a measurement and report how well."""
     from raden_torch.capture.importers import load_measurement
 
-    check_writable(output)
+    check_output(output, (".safetensors",), inputs=(measurement, validation))
     if (diffuse_scale is None) != (diffuse_exponent is None):
         raise InputError("--diffuse-scale and --diffuse-exponent go together; give both or neither")
     with working(f"reading {measurement.name}"):
@@ -133,7 +133,7 @@ def merge(
     """Make one measurement of several, each reading weighed by its uncertainty."""
     from raden_torch.measurement.merge import merge as merge_measurements
 
-    check_writable(output)
+    check_output(output, (".csv",), inputs=files)
     with working("merging"):
         merged = merge_measurements([_measurement(path) for path in files], robust=robust)
         merged.measurement.save(output)
@@ -159,6 +159,7 @@ def plot(
     from raden_torch.plots import FIGURES, check_plot_path, draw, draw_comparison, save_plot
 
     check_plot_path(output)
+    check_output(output, inputs=(file, other))
     if other is not None:
         if figure:
             raise InputError("plot: --figure is of one file; two are compared on one sheet")
@@ -197,6 +198,7 @@ def export(
     from raden_torch.brdf.model_file import load_model
     from raden_torch.export.export import export_onnx
 
+    check_output(output, (".onnx",), inputs=(model,))
     with working("exporting"):
         report = export_onnx(
             load_model(model),

@@ -17,9 +17,11 @@ from raden_torch.cli.common import (
     progress,
     stops_of,
     triple,
+    without_other_inputs,
     working,
 )
 from raden_torch.errors import InputError
+from raden_torch.files import check_output
 
 
 class Green(str, Enum):
@@ -74,6 +76,7 @@ def render(
     )
 
     check_picture_path(output, (*PICTURE_SUFFIXES, ".exr"))
+    check_output(output, inputs=(model, gbuffer))
     lights = [light_of(text) for text in light or ()]
     eye = None if camera is None else triple("--camera", camera)
     stops, limit = stops_of(exposure), bytes_of(memory)
@@ -174,6 +177,9 @@ def relight(
     if original_light is not None:
         is_file = original_light.endswith(".json")
         original = Path(original_light) if is_file else triple("--original-light", original_light)
+    photos = without_other_inputs(photos, normals, mask, model)
+    if not output.is_dir():
+        check_output(output, inputs=(*photos, normals, mask, model, original_light))
     with working("relighting"):
         written = relight_files(
             photos,

@@ -12,7 +12,7 @@ import typer
 
 from raden_torch.cli.common import app, pair, triple, working
 from raden_torch.errors import InputError
-from raden_torch.files import check_writable
+from raden_torch.files import check_output, check_writable
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -114,8 +114,11 @@ def scan(
             raise InputError(
                 "--from-journal reads one file and writes another: it goes with -o alone"
             )
-        _write(read_journal(from_journal), from_journal, check_writable(output))
+        check_output(output, (".csv",), inputs=(from_journal,))
+        _write(read_journal(from_journal), from_journal, output)
         return
+    if output is not None:
+        check_output(output, (".csv",), inputs=(config, plan, specimen))
     journal_path = None if output is None else session.journal_path(check_writable(output))
     position = None if stands_at is None else triple("--stands-at", stands_at)
     if resume and (white_every is not None or white_readings is not None):

@@ -19,7 +19,7 @@ from raden_torch.export.check import ExportReport, RuntimeResult, StressSet
 from raden_torch.export.constants import fix_parameters, is_fixed
 from raden_torch.export.profiles import check_profile, ports
 from raden_torch.export.runtimes import load_onnxruntime, load_others, needed, one_line
-from raden_torch.files import check_writable, written_beside
+from raden_torch.files import check_output, written_beside
 
 if TYPE_CHECKING:
     import onnx
@@ -60,7 +60,7 @@ def export_onnx(
     check_profile(profile, output)
     if opset not in OPSETS:
         raise InputError(f"opset {opset}: {OPSETS[0]} to {OPSETS[-1]} was wanted")
-    target = check_writable(path)
+    target = check_output(path, (".onnx",))
     own = _float32(model)
     for package in ("onnx", "onnxscript", "onnxruntime"):
         needed(package, "export_onnx")

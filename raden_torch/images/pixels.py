@@ -69,16 +69,24 @@ def write_pixels(rgb: NDArray[Any], path: str | os.PathLike[str]) -> None:
 
 
 def draw_caption(pixels: NDArray[Any], caption: str) -> None:
-    """Draw a small line into the lower left corner of 8- or 16-bit pixels, in place."""
+    """Draw a small line into the lower left corner of 8- or 16-bit pixels, in place.
+
+    OpenCV draws on 8 bits; the strokes are laid over the pixels in their own depth.
+    """
     import cv2
 
-    grey = 190 * (np.iinfo(pixels.dtype).max // 255)
+    top = np.iinfo(pixels.dtype).max
     height, width = pixels.shape[:2]
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.4
     (text_width, _), _ = cv2.getTextSize(caption, font, scale, 1)
     scale *= min(1.0, (width - 8) / max(text_width, 1))
-    for colour, thickness in (((0, 0, 0), 3), ((grey, grey, grey), 1)):
-        cv2.putText(pixels, caption, (4, height - 6), font, scale, colour, thickness, cv2.LINE_AA)
+    for grey, thickness in ((0.0, 3), (190 / 255, 1)):
+        stroke = np.zeros((height, width), np.uint8)
+        cv2.putText(stroke, caption, (4, height - 6), font, scale, 255, thickness, cv2.LINE_AA)
+        touched = stroke > 0
+        cover = stroke[touched].astype(np.float64)[:, None] / 255
+        mixed = (1 - cover) * pixels[touched] + cover * grey * top
+        pixels[touched] = np.rint(mixed).astype(pixels.dtype)
 
 
 def _check_header(path: str | os.PathLike[str]) -> None:
