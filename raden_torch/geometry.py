@@ -121,9 +121,14 @@ def check_vector_maps(**maps: Tensor) -> None:
     for name, m in maps.items():
         if not isinstance(m, Tensor) or not m.is_floating_point():
             kind = m.dtype if isinstance(m, Tensor) else type(m).__name__
-            raise InputError(f"{name}: {kind}; a floating-point tensor [B, 3, H, W] was wanted")
+            raise InputError(
+                f"{name}: {kind}; a floating-point tensor [B, 3, H, W] was wanted"
+                f"{how_to_convert(m)}"
+            )
         if m.ndim < 3 or m.shape[XYZ_DIM] != 3:
-            raise InputError(f"{name}: shape {list(m.shape)}; [B, 3, H, W] was wanted")
+            raise InputError(
+                f"{name}: shape {list(m.shape)}; [B, 3, H, W] was wanted{how_to_convert(m)}"
+            )
     if len({m.device for m in maps.values()}) > 1:
         where = ", ".join(f"{name} on {m.device}" for name, m in maps.items())
         raise InputError(f"{where}: one device was wanted")
@@ -135,6 +140,26 @@ def check_vector_maps(**maps: Tensor) -> None:
         raise InputError(
             f"{shapes}: these do not broadcast; equal sizes or 1 were wanted"
         ) from None
+
+
+def how_to_convert(given: object) -> str:
+    """The call that makes `[B, 3, H, W]` of vectors in another layout, for an error message;
+    empty where none is known."""
+    shape = tuple(getattr(given, "shape", ()))
+    if 3 not in shape or len(shape) > 4:
+        return ""
+    call = "x" if isinstance(given, Tensor) else "torch.from_numpy(x)"
+    if isinstance(given, Tensor) and not given.is_floating_point():
+        call += ".float()"
+    if len(shape) == 2 and shape[1] == 3:  # [P, 3]: points in a column
+        call += ".T[None, :, :, None]"
+    elif len(shape) == 3 and shape[0] != 3:  # [H, W, 3]
+        call += ".movedim(-1, 0)[None]"
+    elif len(shape) == 3:  # [3, H, W]
+        call += "[None]"
+    elif len(shape) == 4 and shape[1] != 3 and shape[3] == 3:  # [B, H, W, 3]
+        call += ".movedim(-1, 1)"
+    return "" if call == "x" else f"; convert it by {call}"
 
 
 def normalised(v: Tensor) -> Tensor:

@@ -26,7 +26,7 @@ from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.model_file import load_model
 from raden_torch.brdf.plate import plate, shade_plate
 from raden_torch.brdf.relight import lamp_ring, relight, relit_under, tiled
-from raden_torch.brdf.shade import shade
+from raden_torch.brdf.shade import shade, warn_if_black
 from raden_torch.brdf.shade_file import shade_file
 from raden_torch.brdf.shapes import average_samples, sphere
 from raden_torch.errors import InputError
@@ -79,7 +79,8 @@ def render_shape(
             image = shade_plate(model, plate(size, camera, samples=samples), lights)
         else:
             image = shade(model, sphere(size, camera, samples=samples), lights)
-        return average_samples(image, samples)
+    warn_if_black(image, lights)
+    return average_samples(image, samples)
 
 
 def render_gbuffer(
@@ -94,8 +95,11 @@ def render_gbuffer(
 ) -> Tensor:
     """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `read_gbuffer` and `shade`."""
     gbuffer = read_gbuffer(path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px)
+    lights = lights or SHAPES["sphere"].lights
     with torch.no_grad():
-        return shade(model, gbuffer, lights or SHAPES["sphere"].lights, tolerance=tolerance)
+        image = shade(model, gbuffer, lights, tolerance=tolerance)
+    warn_if_black(image, lights)
+    return image
 
 
 def render_gbuffer_file(

@@ -25,7 +25,8 @@ class GBuffer:
             camera at infinity.
         position: `[B, 3, H, W]` surface points; point and spot lights need it.
         camera: `[3]` or `[B, 3]`, the viewer's position.
-        mask: `[B, 1, H, W]`, 0…1 or bool: how much of the pixel is this material.
+        mask: `[B, 1, H, W]`, how much of the pixel is this material: bool; floating, 0…1; or 8-bit
+            integers, 0…255, or 0 and 1 where none is above 1. Kept as bool or floating.
     """
 
     normal: Tensor
@@ -37,7 +38,10 @@ class GBuffer:
     def __post_init__(self) -> None:
         if not isinstance(self.normal, Tensor) or self.normal.ndim != 4:
             shape = list(getattr(self.normal, "shape", [type(self.normal).__name__]))
-            raise InputError(f"GBuffer normal: {shape}; a tensor [B, 3, H, W] was wanted")
+            raise InputError(
+                f"GBuffer normal: {shape}; a tensor [B, 3, H, W] was wanted"
+                f"{geometry.how_to_convert(self.normal)}"
+            )
         view = self.view
         if view is None and (self.position is None or self.camera is None):
             raise InputError("GBuffer: give view, or position and camera")
@@ -49,6 +53,15 @@ class GBuffer:
         geometry.check_vector_maps(**{k: cast(Tensor, v) for k, v in maps.items() if v is not None})
         if self.mask is not None:
             self._check_mask(self.mask)
+            object.__setattr__(self, "mask", coverage(self.mask))
+
+    def __repr__(self) -> str:
+        maps = (
+            f"{name}={list(value.shape)}"
+            for name in ("normal", "view", "position", "camera", "mask")
+            if isinstance(value := getattr(self, name), Tensor)
+        )
+        return f"GBuffer({', '.join(maps)}, {self.normal.dtype}, {self.normal.device})"
 
     @classmethod
     def from_depth(cls, depth: Tensor, intrinsics: Tensor, mask: Tensor | None = None) -> GBuffer:
@@ -83,7 +96,7 @@ class GBuffer:
         position = depth_to_3d_v2(clean[:, 0], matrix).movedim(-1, 1)
         normal = depth_to_normals(clean, matrix)
         outward = torch.where(geometry.dot(normal, position) > 0, -1.0, 1.0).to(dtype)
-        inside = valid if mask is None else valid * mask.to(dtype)
+        inside = valid if mask is None else valid * coverage(mask).to(dtype)
         return cls(normal * outward, position=position, camera=(0.0, 0.0, 0.0), mask=inside)
 
     def view_map(self, like: Tensor) -> Tensor:
@@ -102,6 +115,27 @@ class GBuffer:
                 f"GBuffer mask: shape {list(mask.shape)}; "
                 f"{[size[0], 1, *size[2:]]} was wanted for normal {list(size)}"
             )
+
+
+def coverage(mask: Tensor) -> Tensor:
+    """A mask as bool, or floating in 0…1.
+
+    8-bit integers 0…255 are divided by 255; where none is above 1 they are 0 and 1.
+
+    Raises:
+        InputError: other integers, which have no known full scale.
+    """
+    if mask.dtype == torch.bool or mask.is_floating_point():
+        return mask
+    largest = int(mask.max()) if mask.numel() else 0
+    if mask.dtype == torch.uint8 and largest > 1:
+        return mask.to(torch.float32) / 255
+    if largest <= 1:
+        return mask.to(torch.float32)
+    raise InputError(
+        f"mask: expected bool, floating-point 0…1 or uint8, got {mask.dtype} up to {largest}; "
+        "divide it by its full scale"
+    )
 
 
 def _triple(name: str, value: Triple, like: Tensor) -> Tensor:

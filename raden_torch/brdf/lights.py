@@ -13,6 +13,8 @@ from raden_torch.geometry import dot, normalised, working_dtype
 
 Triple = Tensor | Sequence[float]
 """Three numbers, or a tensor `[3]` or `[B, 3]` (one for each image of a batch)."""
+Colour = Triple | float
+"""A `Triple` of linear RGB; one number is the same in all three channels."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class DirectionalLight:
     """
 
     direction: Triple
-    irradiance: Triple = (torch.pi, torch.pi, torch.pi)
+    irradiance: Colour = (torch.pi, torch.pi, torch.pi)
 
     def __post_init__(self) -> None:
         _check(self, direction=self.direction, irradiance=self.irradiance)
@@ -46,7 +48,7 @@ class PointLight:
     """
 
     position: Triple
-    intensity: Triple = (torch.pi, torch.pi, torch.pi)
+    intensity: Colour = (torch.pi, torch.pi, torch.pi)
 
     def __post_init__(self) -> None:
         _check(self, position=self.position, intensity=self.intensity)
@@ -70,7 +72,7 @@ class SpotLight:
 
     position: Triple
     target: Triple
-    intensity: Triple = (torch.pi, torch.pi, torch.pi)
+    intensity: Colour = (torch.pi, torch.pi, torch.pi)
     inner_deg: float = 15.0
     outer_deg: float = 25.0
 
@@ -96,10 +98,10 @@ class SpotLight:
 Light = DirectionalLight | PointLight | SpotLight
 
 
-def as_map(value: Triple, like: Tensor) -> Tensor:
-    """`[3]` or `[B, 3]` → `[1 or B, 3, 1, 1]`, on the device and in the dtype of `like`."""
+def as_map(value: Colour, like: Tensor) -> Tensor:
+    """One number, `[3]` or `[B, 3]` → `[1 or B, 3, 1, 1]`, as `like` is."""
     tensor = torch.as_tensor(value, dtype=like.dtype, device=like.device)
-    return tensor.reshape(-1, 3, 1, 1)
+    return (tensor.expand(3) if tensor.ndim == 0 else tensor).reshape(-1, 3, 1, 1)
 
 
 def packed(
@@ -122,8 +124,8 @@ def packed(
 def _row(
     light: Light, position: Tensor | None, like: Tensor, may_be_lost: Tensor | float
 ) -> Tensor:
-    def columns(value: Triple) -> Tensor:
-        return torch.as_tensor(value, dtype=dtype, device=like.device).reshape(-1, 3)
+    def columns(value: Colour) -> Tensor:
+        return as_map(value, like.new_zeros((), dtype=dtype))[..., 0, 0]
 
     dtype = working_dtype(like)
     axis, cosines = columns((0.0, 0.0, 0.0)), like.new_zeros(1, 2, dtype=dtype)
@@ -167,13 +169,15 @@ def _needed(position: Tensor | None, light: object) -> Tensor:
     return position
 
 
-def _check(light: object, **triples: Triple) -> None:
+def _check(light: object, **triples: Colour) -> None:
     for name, value in triples.items():
         where = f"{type(light).__name__}: {name}"
         try:
             tensor = torch.as_tensor(value, dtype=torch.float64)
         except (TypeError, ValueError, RuntimeError):
             raise InputError(f"{where} = {value!r}; three numbers were wanted") from None
+        if tensor.ndim == 0 and name in ("irradiance", "intensity"):
+            tensor = tensor.expand(3)
         if tensor.ndim not in (1, 2) or tensor.shape[-1] != 3:
             raise InputError(f"{where} has shape {list(tensor.shape)}; [3] or [B, 3] was wanted")
         if not torch.isfinite(tensor).all():

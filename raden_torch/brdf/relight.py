@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf.gbuffer import GBuffer
+from raden_torch.brdf.gbuffer import GBuffer, coverage
 from raden_torch.brdf.lights import DirectionalLight, Light
-from raden_torch.brdf.shade import Reflection, shade
+from raden_torch.brdf.shade import Reflection, shade, warn_if_black
 from raden_torch.errors import InputError
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
@@ -64,8 +64,10 @@ def relit_under(
     Args: as for `relight`; one gain for all: the mean over the settings keeps the mean luminance.
     """
     _check_sizes(photo, normal, mask)
+    mask = coverage(mask).to(photo.dtype)
     gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0))
     shaded = torch.stack([shade(model, gbuffer, lights) for lights in settings]).to(photo.dtype)
+    warn_if_black(shaded, [lamp for s in settings for lamp in ([s] if isinstance(s, Light) else s)])
     if original is not None:
         shaded = shaded * texture_of(photo, normal, mask, original)
     if gain is None:

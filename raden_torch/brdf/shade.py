@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import Protocol, cast
 
@@ -23,6 +24,8 @@ from raden_torch.brdf.lights import (
 from raden_torch.brdf.lit_sphere import LitSphere, lit_sphere
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
+
+_LAMPS_NAMED = 4
 
 
 class Reflection(Protocol):
@@ -90,6 +93,29 @@ def shade(
         return torch.where(valid, image, torch.zeros_like(image))
     mask = torch.nan_to_num(gbuffer.mask.to(dtype), nan=0.0).clamp(0, 1)
     return torch.where(valid, image, torch.zeros_like(image)) * mask
+
+
+def warn_if_black(image: Tensor, lights: Sequence[Light]) -> None:
+    """Warn where lights leave a whole image black: most often a lamp below the horizon.
+
+    Args:
+        image: `[B, 3, H, W]` that was shaded with them.
+    """
+    if not lights or bool((image != 0).any()):
+        return
+    lamps = ", ".join(f"{type(light).__name__} {_at(light)}" for light in lights[:_LAMPS_NAMED])
+    more = f" and {len(lights) - _LAMPS_NAMED} more" if len(lights) > _LAMPS_NAMED else ""
+    warnings.warn(
+        f"the picture is black: no lamp ({lamps}{more}) is above the horizon of anything in view; "
+        "directions point to the light (x right, y up, z to the viewer), normals away from the "
+        "surface",
+        stacklevel=2,
+    )
+
+
+def _at(light: Light) -> str:
+    place = light.direction if isinstance(light, DirectionalLight) else light.position
+    return ",".join(f"{x:g}" for x in torch.as_tensor(place).flatten().tolist()[:3])
 
 
 def _by_kernel(

@@ -9,7 +9,7 @@ import torch
 
 from raden_torch.brdf.gbuffer_file import GBufferFile, has_pixels, in_halves
 from raden_torch.brdf.lights import Light
-from raden_torch.brdf.shade import Reflection, shade
+from raden_torch.brdf.shade import Reflection, shade, warn_if_black
 from raden_torch.images.exr_rows import rows_written
 
 
@@ -37,15 +37,19 @@ def shade_file(
     Raises:
         InputError: as for `read_gbuffer` and `shade`.
     """
-    some = False
+    some = lit = False
     with rows_written(output, scene.size) as write:
         for top, bottom in scene.bands:
             gbuffer = scene.rows(top, bottom)
             some = some or has_pixels(gbuffer)
             with torch.no_grad():
                 image = shade(model, gbuffer, lights, tolerance=tolerance)
+            lit = lit or bool((image != 0).any())
             write(in_halves(image if gain == 1 else image * gain))
             del gbuffer, image  # before the next band is read
             yield bottom
         if not some:
             raise scene.is_empty()
+    if not lit:
+        lamps = [lights] if isinstance(lights, Light) else lights
+        warn_if_black(torch.zeros(1), lamps)
