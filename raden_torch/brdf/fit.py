@@ -29,6 +29,7 @@ def fit(
     diffuse: DiffuseParameters | None = None,
     interpolation: str = "auto",
     validation: BrdfMeasurement | None = None,
+    assume: str | None = None,
 ) -> FitResult:
     """Fit the model of Take (2012) to a measurement.
 
@@ -41,17 +42,20 @@ def fit(
             `interpolation.SCHEMES`, "kriging" (of scattered readings), or "auto": kriging where
             they are scattered, else the one that a hold-out, or `validation`, prefers.
         validation: readings off the grid to choose by, at least 200.
+        assume: "isotropic", of a sample whose turn in its own plane changes nothing: then readings
+            on one side (tilt ≥ 0), in one plane or of one view suffice; see `isotropic`. The
+            report says what was measured and what follows.
 
     Returns:
         The model (float32, on the CPU) and a report.
 
     Raises:
-        InputError: fewer than two values on an axis, no valid reading, a table too large; an
-            interpolation that is not known or that the grid does not support; validation readings
-            that are too few or outside the box.
+        InputError: fewer than two values on an axis, unless assumed isotropic; no valid reading, a
+            table too large; an interpolation or assumption that is not known or that the readings
+            do not support; validation readings that are too few or outside the box.
     """
-    table = tabulate(measurement)
-    parameters = diffuse or fit_diffuse(table.reading_angles, table.readings)
+    table = tabulate(measurement, assume)
+    parameters = diffuse or fit_diffuse(*_for_diffuse(table))
     part = _diffuse_part(parameters)
     total = _without_gaps(table, part)
     chosen = choose_interpolation(table, total, interpolation, validation)
@@ -64,6 +68,21 @@ def fit(
     return FitResult(model, report)
 
 
+def _for_diffuse(table: Tabulated) -> tuple[tuple[Floats, Floats, Floats], Floats]:
+    """Angles and f_r to fit the diffuse part to: the readings; the nodes, where they follow from
+    readings that are too few angles for eqs (3)–(6)."""
+    if not table.assumed.any():
+        return table.reading_angles, table.readings
+    known = ~np.isnan(table.values).any(axis=-1)
+    a, r, t = (angle[known] for angle in _node_angles(table))
+    return (a, r, t), table.values[known]
+
+
+def _node_angles(table: Tabulated) -> list[Floats]:
+    """Incidence, receiving and tilt of the nodes, `[A, R, T]` each, in radians."""
+    return list(np.meshgrid(*map(np.deg2rad, table.axes_deg), indexing="ij"))
+
+
 def _diffuse_part(parameters: DiffuseParameters) -> CosineDiffuse:
     scale, exponent = (
         torch.tensor(v, dtype=torch.float32) for v in (parameters.scale, parameters.exponent)
@@ -73,7 +92,7 @@ def _diffuse_part(parameters: DiffuseParameters) -> CosineDiffuse:
 
 def _without_gaps(table: Tabulated, diffuse: CosineDiffuse) -> Floats:
     """`[A, R, T, 3]` f_r; nodes without a measured neighbour take the diffuse part."""
-    angles = np.meshgrid(*map(np.deg2rad, table.axes_deg), indexing="ij")
+    angles = _node_angles(table)
     with torch.no_grad():
         part = diffuse(*(torch.from_numpy(angle)[:, None] for angle in angles))  # [A, 3, R, T]
     return np.where(np.isnan(table.values), part.movedim(1, -1).numpy(), table.values)

@@ -20,9 +20,10 @@ class FitReport:
     """What a fit did, in numbers; `str` says it in words.
 
     Attributes:
-        cells: nodes of the table; the next four say where they come from.
-        measured, from_equivalent, from_neighbours, from_diffuse: how many of the nodes; of
-            scattered readings a node counts as measured where one lies within half a step.
+        cells: nodes of the table; the next five say where they come from.
+        measured, from_equivalent, from_neighbours, from_diffuse, from_assumption: how many of the
+            nodes; of scattered readings, and under an assumption, a node counts as measured where a
+            reading lies within half a step.
         scattered: True where the readings do not lie on the table's nodes.
         averaged: measured nodes at incidence 0 that were replaced by the mean over equivalents.
         asymmetry: mean |difference| between equivalent geometries at incidence 0 over their mean.
@@ -33,6 +34,7 @@ class FitReport:
         diffuse_scale, diffuse_exponent: S (1/sr) and n per channel.
         diffuse_share: the diffuse part's share of the sum of all readings.
         interpolation, interpolation_why, interpolation_losses: see `interpolated_table.Choice`.
+        assumption: what was assumed of the sample, and how far readings bear it out; may be empty.
         warnings: one sentence each.
     """
 
@@ -53,6 +55,8 @@ class FitReport:
     interpolation: str
     interpolation_why: str
     interpolation_losses: dict[str, float]
+    from_assumption: int = 0
+    assumption: str = ""
     warnings: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -65,7 +69,9 @@ class FitReport:
             f"table: {self.cells} nodes, {self.measured} measured "
             f"({_percent(self.measured / self.cells)}), {self.from_equivalent} from an "
             f"equivalent geometry, {self.from_neighbours} from measured neighbours, "
-            f"{self.from_diffuse} from the diffuse part",
+            f"{self.from_diffuse} from the diffuse part"
+            + (f", {self.from_assumption} by assumption" if self.assumption else ""),
+            *([f"assumed isotropic: {self.assumption}"] if self.assumption else []),
             f"incidence 0: {self.averaged} nodes averaged over their equivalents "
             f"(asymmetry {_percent(self.asymmetry)})",
             f"reciprocity: broken by {_percent(self.reciprocity_mean)} on average, "
@@ -118,6 +124,8 @@ def make_report(
         interpolation=chosen.scheme,
         interpolation_why=chosen.why,
         interpolation_losses=chosen.losses,
+        from_assumption=int(table.assumed.sum()),
+        assumption=table.assumption,
         warnings=(*table.warnings, *_warnings(measurement, table, parameters, fitted)),
     )
 
@@ -146,6 +154,11 @@ def _warnings(
         found.append(
             f"{int(table.without_neighbour.sum())} nodes have no measured neighbour within three "
             "steps; the diffuse part alone stands there"
+            + (
+                ""
+                if table.assumption
+                else "; of an isotropic sample, --assume isotropic derives more"
+            )
         )
     return tuple(found)
 

@@ -66,7 +66,7 @@ def choose_interpolation(
         return Choice(best(found), f"best on {len(truth)} validation readings", found)
     if table.scattered is not None:
         return Choice(KRIGING, "its readings are scattered")
-    known = table.measured & ~table.averaged
+    known = (table.measured | table.assumed) & ~table.averaged
     found = hold_out_losses(table.axes_deg, xyz, known)
     if not found:
         return Choice("trilinear", "too few nodes to hold some out")

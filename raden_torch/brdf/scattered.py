@@ -16,8 +16,7 @@ from scipy import ndimage
 from raden_torch.brdf.fill import REACH, Bools, Filled, Floats
 from raden_torch.brdf.interpolation.lobes import Axes, Lobes
 from raden_torch.brdf.interpolation.schemes import CAP, Reconstruction
-from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.distinct import FLOOR, DistinctReadings, distinct_readings
+from raden_torch.measurement.distinct import FLOOR, DistinctReadings
 from raden_torch.measurement.kriging import Kriging, canonical
 
 SCHEME = "kriging"
@@ -29,9 +28,8 @@ _TRIED = 800  # readings, to choose by
 _LUMINANCE = 1
 
 
-def gather(xyz: BrdfMeasurement) -> DistinctReadings:
+def with_noise(readings: DistinctReadings) -> DistinctReadings:
     """Scattered readings, with the noise that predicts each of them best from the others."""
-    readings = distinct_readings(xyz)
     tried = [replace(readings, noise=readings.noise + extra) for extra in _SMOOTHNESS]
     rows = _some(readings)
     errors = [float(np.mean(abs(one.kriged().leave_one_out(rows)[0]))) for one in tried]
@@ -56,11 +54,13 @@ def on_table(axes_deg: Axes, readings: DistinctReadings) -> tuple[Floats, Bools,
         reading; where a reading lies within half a step, `[A, R, T]`; the same with its history.
     """
     shape = tuple(len(axis) for axis in axes_deg)
-    measured, from_equivalent, touched = (np.zeros(shape, bool) for _ in range(3))
+    touched = np.zeros(shape, bool)
     equivalents = readings.angles_deg[abs(readings.angles_deg[:, 0]) < 1e-6] * [1.0, -1.0, -1.0]
-    for angles, read in ((readings.angles_deg, measured), (equivalents, from_equivalent)):
+    measured, from_equivalent = (
+        nodes_read(axes_deg, angles) for angles in (readings.angles_deg, equivalents)
+    )
+    for angles in (readings.angles_deg, equivalents):
         place = _in_nodes(axes_deg, angles)
-        read[tuple(np.rint(place).astype(int).T)] = True
         for corner in np.indices((2, 2, 2)).reshape(3, -1).T:
             around = np.where(corner, np.ceil(place), np.floor(place))
             touched[tuple(around.astype(int).T)] = True
@@ -72,6 +72,13 @@ def on_table(axes_deg: Axes, readings: DistinctReadings) -> tuple[Floats, Bools,
     kriged = near & ~measured & ~from_equivalent
     nothing = np.zeros(shape, bool)
     return table, measured, Filled(table, from_equivalent, kriged, ~near, nothing, float("nan"))
+
+
+def nodes_read(axes_deg: Axes, angles_deg: Floats) -> Bools:
+    """`[A, R, T]`: where one of the angles `[M, 3]`, within the box, lies within half a step."""
+    read = np.zeros([len(axis) for axis in axes_deg], bool)
+    read[tuple(np.rint(_in_nodes(axes_deg, angles_deg)).astype(int).T)] = True
+    return read
 
 
 def between_readings(

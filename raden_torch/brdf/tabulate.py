@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from raden_torch.brdf.fill import Bools, Floats, fill
-from raden_torch.brdf.scattered import gather, on_table
+from raden_torch.brdf.isotropic import AXES_DEG, derive, with_opposite_tilts
+from raden_torch.brdf.scattered import nodes_read, on_table, with_noise
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
-from raden_torch.measurement.distinct import DistinctReadings
+from raden_torch.measurement.distinct import DistinctReadings, distinct_readings
 from raden_torch.measurement.readings import FACTOR_PER_SR, LEAST_COVERAGE, RGB
 
 __all__ = ["Floats", "Tabulated", "tabulate"]
@@ -32,13 +33,16 @@ class Tabulated:
     Attributes:
         axes_deg: incidence, receiving, tilt, evenly spaced.
         values: `[A, R, T, 3]` f_r in 1/sr; NaN in the nodes of `without_neighbour`.
-        before_averaging: the same before equivalents at incidence 0 were averaged.
+        before_averaging: the same before equivalents at incidence 0 were averaged; NaN where no
+            node has a reading of its own.
         measured: the node was measured; scattered readings: one lies within half a step.
+        assumed: the node was not measured, but follows from measured ones by `assumption`.
         from_equivalent, from_neighbours, without_neighbour, averaged: see `fill.Filled`.
         asymmetry: see `fill.Filled`.
         reading_angles: incidence, receiving, tilt of the valid readings, `[M]` each, in radians.
         readings: `[M, 3]` their f_r in 1/sr.
         scattered: the readings, where they do not lie on nodes or fill less than half of them.
+        assumption: one sentence; empty where nothing was assumed.
         warnings: one sentence each.
     """
 
@@ -46,6 +50,7 @@ class Tabulated:
     values: Floats
     before_averaging: Floats
     measured: Bools
+    assumed: Bools
     from_equivalent: Bools
     from_neighbours: Bools
     without_neighbour: Bools
@@ -54,37 +59,64 @@ class Tabulated:
     reading_angles: tuple[Floats, Floats, Floats]
     readings: Floats
     scattered: DistinctReadings | None
+    assumption: str
     warnings: tuple[str, ...]
 
 
-def tabulate(measurement: BrdfMeasurement) -> Tabulated:
+def tabulate(measurement: BrdfMeasurement, assume: str | None = None) -> Tabulated:
     """Put readings on a table.
 
     Readings on a grid keep their nodes. Scattered ones, ones at several sample azimuths, and ones
     that fill less than half of their grid are kriged onto nodes 5 degrees apart.
 
+    Args:
+        assume: "isotropic": readings stand for the opposite tilt, too; where they tell of less
+            than half of the table even so, it follows from them as `isotropic.derive` says.
+
     Raises:
         InputError: no valid reading, one value only on an axis, readings in fewer than 5 % of the
-            cells, or a table too large.
+            cells, a table too large; an assumption that is not known or does not suffice.
     """
-    _check_coverage(measurement)
+    if assume is None:
+        return _tabulated(measurement)
+    if assume != "isotropic":
+        raise InputError(f"assume: expected 'isotropic', got {assume!r}")
+    _check_readings(measurement)
+    rgb, angles = _readings(measurement)
+    both, assumption = with_opposite_tilts(measurement)
+    table = None if _single_valued(both) else _tabulated(both)
+    if table is None or table.without_neighbour.mean() > _MOSTLY:
+        return _derived(measurement)
+    read = nodes_read(table.axes_deg, np.rad2deg(np.stack(angles, axis=1)))
+    return replace(
+        table,
+        measured=table.measured & read,
+        assumed=table.measured & ~read,
+        reading_angles=angles,
+        readings=rgb.values / FACTOR_PER_SR,
+        assumption=assumption,
+    )
+
+
+def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
+    _check_readings(measurement)
+    flat = _single_valued(measurement)
+    if flat:
+        raise InputError(
+            f"measurement: {flat}; a model needs at least two on each of incidence, receiving and "
+            "tilt; if the sample is isotropic, --assume isotropic derives the rest"
+        )
     every, warnings = _as_rgb(measurement)
-    rgb = every.select(every.valid) if every.valid.any() else None
-    if rgb is None:
-        raise InputError("measurement: none of its readings is valid; nothing can be fitted")
-    angles = (rgb.incidence_deg, rgb.receiving_deg, rgb.tilt_deg)
-    for name, angle in zip(("incidence", "receiving", "tilt"), angles, strict=True):
-        if np.ptp(angle) < 1e-6:
-            raise InputError(
-                f"measurement: {name} has one value only ({angle[0]:g} deg); a model needs at "
-                "least two on each of incidence, receiving and tilt"
-            )
-    f_r = rgb.values / FACTOR_PER_SR
+    rgb, angles = _readings(measurement)
     grid = _uniform(every.grid()) if every.is_grid else None
     scattered = None
     if grid is None or grid.measured.mean() < _MOSTLY:
-        axes = _axis_around(angles[0]), _axis_around(angles[1]), _axis_around(angles[2])
-        scattered = gather(_as_xyz(measurement, rgb))
+        axes = (
+            _axis_around(rgb.incidence_deg),
+            _axis_around(rgb.receiving_deg),
+            _axis_around(rgb.tilt_deg),
+        )
+        scattered = with_noise(distinct_readings(_as_xyz(measurement, rgb)))
         xyz, measured, filled = on_table(axes, scattered)
         start = xyz @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
         filled = replace(filled, values=start)
@@ -97,16 +129,71 @@ def tabulate(measurement: BrdfMeasurement) -> Tabulated:
         values=filled.values,
         before_averaging=start,
         measured=measured,
+        assumed=np.zeros_like(measured),
         from_equivalent=filled.from_equivalent,
         from_neighbours=filled.from_neighbours,
         without_neighbour=filled.without_neighbour,
         averaged=filled.averaged,
         asymmetry=filled.asymmetry,
-        reading_angles=(np.deg2rad(angles[0]), np.deg2rad(angles[1]), np.deg2rad(angles[2])),
-        readings=f_r,
+        reading_angles=angles,
+        readings=rgb.values / FACTOR_PER_SR,
         scattered=scattered,
+        assumption="",
         warnings=tuple(warnings),
     )
+
+
+def _derived(measurement: BrdfMeasurement) -> Tabulated:
+    """From readings of one plane or one view of an isotropic sample."""
+    rgb, angles = _readings(measurement)
+    derived = derive(_as_xyz(measurement, rgb))
+    values = derived.values @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
+    none = np.zeros_like(derived.measured)
+    return Tabulated(
+        axes_deg=AXES_DEG,
+        values=values,
+        before_averaging=np.full_like(values, np.nan),
+        measured=derived.measured,
+        assumed=~derived.measured,
+        from_equivalent=none,
+        from_neighbours=none,
+        without_neighbour=none,
+        averaged=none,
+        asymmetry=float("nan"),
+        reading_angles=angles,
+        readings=rgb.values / FACTOR_PER_SR,
+        scattered=None,
+        assumption=derived.why,
+        warnings=tuple(_as_rgb(measurement)[1]),
+    )
+
+
+def _check_readings(measurement: BrdfMeasurement) -> None:
+    _check_coverage(measurement)
+    if not measurement.valid.any():
+        raise InputError("measurement: none of its readings is valid; nothing can be fitted")
+
+
+def _readings(
+    measurement: BrdfMeasurement,
+) -> tuple[BrdfMeasurement, tuple[Floats, Floats, Floats]]:
+    """The valid readings in linear RGB; incidence, receiving and tilt of them in radians."""
+    rgb = _as_rgb(measurement.select(measurement.valid))[0]
+    return rgb, (
+        np.deg2rad(rgb.incidence_deg),
+        np.deg2rad(rgb.receiving_deg),
+        np.deg2rad(rgb.tilt_deg),
+    )
+
+
+def _single_valued(measurement: BrdfMeasurement) -> str:
+    """Which angle all valid readings share, in words; empty where there is none."""
+    known = measurement.select(measurement.valid)
+    for name in ("incidence", "receiving", "tilt"):
+        angle = getattr(known, f"{name}_deg")
+        if np.ptp(angle) < 1e-6:
+            return f"{name} has one value only ({angle[0]:g} deg)"
+    return ""
 
 
 def _check_coverage(measurement: BrdfMeasurement) -> None:

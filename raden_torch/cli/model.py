@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +15,12 @@ from raden_torch.files import check_output
 if TYPE_CHECKING:
     from raden_torch.brdf.model import RadenBrdf
     from raden_torch.measurement import BrdfMeasurement
+
+
+class Symmetry(str, Enum):
+    """What may be assumed of a sample."""
+
+    isotropic = "isotropic"
 
 
 @app.command(epilog="Example: raden fit shell.csv -o shell.safetensors")
@@ -35,6 +42,10 @@ def fit(
     ] = "auto",
     validation: Annotated[
         Path | None, typer.Option(help="readings off the grid to choose the interpolation by")
+    ] = None,
+    assume: Annotated[
+        Symmetry | None,
+        typer.Option(help="of the sample: then one plane, one view or one side suffices"),
     ] = None,
 ) -> None:
     """Fit a model to a measurement and report how well."""
@@ -58,7 +69,11 @@ def fit(
                 triple("--diffuse-exponent", diffuse_exponent),
             )
         result = fit_model(
-            loaded, diffuse=by_hand, interpolation=interpolation, validation=off_grid
+            loaded,
+            diffuse=by_hand,
+            interpolation=interpolation,
+            validation=off_grid,
+            assume=None if assume is None else assume.value,
         )
         save_model(result.model, output)
     print(f"{loaded!r}\n{result.report}\nwrote {output}")

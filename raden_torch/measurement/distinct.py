@@ -37,11 +37,16 @@ class DistinctReadings:
         return Kriging(self.angles_deg, self.logs - less, self.noise)
 
 
-def distinct_readings(xyz: BrdfMeasurement) -> DistinctReadings:
+def distinct_readings(xyz: BrdfMeasurement, angles_deg: Floats | None = None) -> DistinctReadings:
     """Valid XYZ readings; those of one geometry, and of its equivalent at incidence 0, become their
-    mean, weighted by their count. `std` becomes `noise`; 0 where there is none."""
-    xyz = xyz.select(xyz.valid)
-    angles = canonical(np.stack([xyz.incidence_deg, xyz.receiving_deg, xyz.tilt_deg], axis=1))
+    mean, weighted by their count. `std` becomes `noise`; 0 where there is none.
+
+    Args:
+        angles_deg: `[M, 3]` that stand in for the measurement's own.
+    """
+    if angles_deg is None:
+        angles_deg = np.stack([xyz.incidence_deg, xyz.receiving_deg, xyz.tilt_deg], axis=1)
+    angles, xyz = canonical(angles_deg[xyz.valid]), xyz.select(xyz.valid)
     distinct, index = np.unique(np.round(angles, 6), axis=0, return_inverse=True)
     index = index.ravel()
     weight = np.ones(len(xyz)) if xyz.count is None else np.maximum(xyz.count, 1.0)
