@@ -12,6 +12,7 @@ from raden_torch.brdf.fit_report import FitReport, make_report
 from raden_torch.brdf.interpolated_table import choose_interpolation, make_table
 from raden_torch.brdf.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.tabulate import Floats, Tabulated, tabulate
+from raden_torch.errors import check_type
 from raden_torch.measurement import BrdfMeasurement
 
 
@@ -54,6 +55,8 @@ def fit(
             table too large; an interpolation or assumption that is not known or that the readings
             do not support; validation readings that are too few or outside the box.
     """
+    hint = "load_measurement reads one from a file"
+    check_type("measurement", measurement, BrdfMeasurement, hint)
     table = tabulate(measurement, assume)
     parameters = diffuse or fit_diffuse(*_for_diffuse(table))
     part = _diffuse_part(parameters)

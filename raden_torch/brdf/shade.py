@@ -23,9 +23,10 @@ from raden_torch.brdf.lights import (
 )
 from raden_torch.brdf.lit_sphere import LitSphere, lit_sphere
 from raden_torch.brdf.model import RadenBrdf
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 
 _LAMPS_NAMED = 4
+_LIGHTS = (DirectionalLight, PointLight, SpotLight)
 
 
 class Reflection(Protocol):
@@ -63,12 +64,14 @@ def shade(
     Raises:
         InputError: a light needs positions that the G-buffer lacks; shapes or devices do not fit.
     """
+    check_type("lights", lights, (Sequence, *_LIGHTS), "give a list of lights")
     lights = [lights] if isinstance(lights, Light) else list(lights)
+    check_type("gbuffer", gbuffer, GBuffer, "make it by GBuffer(normal=…, view=…)")
+    check_type("tolerance", tolerance, (float, int))
     if not 0 <= tolerance < float("inf"):
-        raise InputError(f"tolerance {tolerance}: a radiance of 0 or more was wanted")
-    for light in lights:
-        if not isinstance(light, (DirectionalLight, PointLight, SpotLight)):
-            raise InputError(f"lights: {type(light).__name__} is not a light of raden_torch")
+        raise InputError(f"tolerance: expected a radiance of 0 or more, got {tolerance}")
+    for place, light in enumerate(lights):
+        check_type(f"lights[{place}]", light, _LIGHTS)
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
         image = _by_kernel(model, gbuffer, lights, tolerance)

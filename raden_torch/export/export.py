@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from raden_torch.brdf.model import RadenBrdf
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 from raden_torch.export import onnx_file
 from raden_torch.export.check import ExportReport, RuntimeResult, StressSet
 from raden_torch.export.constants import fix_parameters, is_fixed
@@ -57,6 +57,7 @@ def export_onnx(
             on the CPU; `path` cannot be written; a package is missing; or the pictures differ, in
             which case there is no file.
     """
+    check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
     check_profile(profile, output)
     if opset not in OPSETS:
         raise InputError(f"opset {opset}: {OPSETS[0]} to {OPSETS[-1]} was wanted")

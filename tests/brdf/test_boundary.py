@@ -10,6 +10,7 @@ import raden_torch as rt
 from raden_torch.errors import InputError
 
 FLAT = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand(1, 3, 4, 5)
+FLAT_SCENE = rt.GBuffer(FLAT, view=(0.0, 0.0, 1.0))
 LAMP = rt.DirectionalLight((0.2, 0.1, 1.0))
 
 
@@ -92,3 +93,23 @@ def test_a_lamp_below_the_horizon_is_said(model: rt.RadenBrdf) -> None:
         warn_if_black(image, [lamp])
     warn_if_black(shaded(model, None), [LAMP])
     warn_if_black(image, [])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda m: rt.fit("shell.csv"),
+            "measurement: expected BrdfMeasurement, got str; load",
+        ),
+        (lambda m: rt.shade(m, FLAT, [LAMP]), "gbuffer: expected GBuffer, got Tensor; make it by"),
+        (lambda m: rt.shade(m, FLAT_SCENE, None), "lights: expected Sequence or .*, got NoneType"),
+        (lambda m: rt.shade(m, FLAT_SCENE, [(0, 0, 1)]), r"lights\[0\]: expected .*, got tuple"),
+        (lambda m: rt.shade(m, FLAT_SCENE, [LAMP], tolerance="x"), "tolerance: expected float"),
+        (lambda m: rt.shade(m, FLAT_SCENE, [LAMP], tolerance=-1), "tolerance: expected a radiance"),
+        (lambda m: rt.export_onnx("m.safetensors", "m.onnx"), "model: expected RadenBrdf, got str"),
+    ],
+)
+def test_another_type_is_named(model: rt.RadenBrdf, call, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        call(model)

@@ -31,6 +31,7 @@ from raden_torch.capture.photo.reference import (
     sphere_normals,
 )
 from raden_torch.errors import InputError
+from raden_torch.files import is_same_file
 
 _LIKELY = (0.7, 1.45)
 """Exponents of a response that a camera may have; sRGB taken as linear has about 2.2, linear taken
@@ -167,9 +168,8 @@ def _with_reference(
     coded: Coding,
     done: Callable[[float], None],
 ) -> Lamps:
-    paths = numbered_files(reference.pattern)
-    if reference.mask in paths:
-        paths.remove(reference.mask)
+    named = numbered_files(reference.pattern)
+    paths = [path for path in named if not is_same_file(path, reference.mask)]
     if len(paths) != len(lamps):
         raise InputError(
             f"{reference.pattern}: {len(paths)} photographs of the reference, but {len(lamps)} "
