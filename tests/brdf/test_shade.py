@@ -201,5 +201,5 @@ def test_wrong_lights_are_one_line(name: str) -> None:
 def test_a_point_light_without_positions_says_so(lambertian) -> None:
     with pytest.raises(InputError, match=r"PointLight: it needs the G-buffer's position"):
         rt.shade(lambertian, flat(), rt.PointLight((0, 0, 1)))
-    with pytest.raises(InputError, match="expected DirectionalLight .* got dict"):
+    with pytest.raises(InputError, match=r"expected DirectionalLight .* got dict"):
         rt.shade(lambertian, flat(), [{}])
