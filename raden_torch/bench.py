@@ -26,7 +26,6 @@ from raden_torch import geometry
 from raden_torch.brdf import simd
 from raden_torch.brdf.fit import fit
 from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.interpolation import SCHEMES
 from raden_torch.brdf.lights import DirectionalLight
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.score import Score, angle_maps, score_of
@@ -38,6 +37,7 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import FACTOR_PER_SR
 from raden_torch.optics import simulate_specimen
+from raden_torch.reflectance.interpolation import SCHEMES
 
 SPECIMEN = "yakogai"
 SCALING = (64, 256, 1024, 2048)

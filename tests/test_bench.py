@@ -12,7 +12,7 @@ import torch
 
 import raden_torch as rt
 from raden_torch.bench import frame_vectors, naive, run_bench, simulated_pair, sphere_delta_e
-from raden_torch.brdf.interpolation import SCHEMES
+from raden_torch.reflectance.interpolation import SCHEMES
 
 
 def test_the_naive_form_is_the_same_model(analytic) -> None:

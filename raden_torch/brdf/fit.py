@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from raden_torch.arrays import Floats
 from raden_torch.brdf.diffuse_fit import DiffuseParameters, fit_diffuse
 from raden_torch.brdf.fit_report import FitReport, make_report
 from raden_torch.brdf.interpolated_table import choose_interpolation, make_table
 from raden_torch.brdf.model import CosineDiffuse, Provenance, RadenBrdf
-from raden_torch.brdf.tabulate import Floats, Tabulated, tabulate
+from raden_torch.brdf.tabulate import Tabulated, tabulate
 from raden_torch.errors import check_type
 from raden_torch.measurement import BrdfMeasurement
 
@@ -39,13 +40,13 @@ def fit(
             scattered readings, which are kriged onto a 5 degree table. Bands that make no colour
             give a grey model.
         diffuse: the diffuse parameters, set by hand as in the paper; fitted where None.
-        interpolation: what lies between the nodes: "trilinear" (the paper), another of
-            `interpolation.SCHEMES`, "kriging" (of scattered readings), or "auto": kriging where
-            they are scattered, else the one that a hold-out, or `validation`, prefers.
+        interpolation: what lies between the nodes: "trilinear" (the paper), "cubic", "lobes" (see
+            `reflectance.interpolation`), "kriging" (of scattered readings), or "auto": kriging
+            where they are scattered, else the one that a hold-out, or `validation`, prefers.
         validation: readings off the grid to choose by, at least 200.
         assume: "isotropic", of a sample whose turn in its own plane changes nothing: then readings
-            on one side (tilt ≥ 0), in one plane or of one view suffice; see `isotropic`. The
-            report says what was measured and what follows.
+            on one side (tilt ≥ 0), in one plane or of one view suffice; see
+            `reflectance.isotropic`. The report says what was measured and what follows.
 
     Returns:
         The model (float32, on the CPU) and a report.
@@ -81,9 +82,9 @@ def _for_diffuse(table: Tabulated) -> tuple[tuple[Floats, Floats, Floats], Float
     return (a, r, t), table.values[known]
 
 
-def _node_angles(table: Tabulated) -> list[Floats]:
-    """Incidence, receiving and tilt of the nodes, `[A, R, T]` each, in radians."""
-    return list(np.meshgrid(*map(np.deg2rad, table.axes_deg), indexing="ij"))
+def _node_angles(table: Tabulated) -> Floats:
+    """`[3, A, R, T]`: incidence, receiving and tilt of the nodes, in radians."""
+    return np.deg2rad(np.moveaxis(table.grid.nodes_deg(), -1, 0))
 
 
 def _diffuse_part(parameters: DiffuseParameters) -> CosineDiffuse:

@@ -11,8 +11,9 @@ import torch
 from raden_torch.brdf.diffuse_fit import EXPONENT_BOUNDS, DiffuseParameters
 from raden_torch.brdf.interpolated_table import Choice
 from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.tabulate import Floats, Tabulated
+from raden_torch.brdf.tabulate import Tabulated
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.reflectance.symmetry import reciprocity_error
 
 
 @dataclass(frozen=True)
@@ -105,7 +106,8 @@ def make_report(
     truth = table.readings
     error = (whole - truth).mean(axis=1)
     level, total = float(np.quantile(truth.mean(axis=1), 0.999)), float(truth.sum())
-    reciprocity = reciprocity_error(table)
+    read = np.where(table.measured, table.before_averaging.mean(axis=-1), np.nan)
+    reciprocity = reciprocity_error(table.grid, read)
     return FitReport(
         cells=int(table.measured.size),
         scattered=table.scattered is not None,
@@ -161,34 +163,6 @@ def _warnings(
             )
         )
     return tuple(found)
-
-
-def reciprocity_error(table: Tabulated) -> tuple[float, float]:
-    """|f − f of the reciprocal geometry|, on average and at worst; NaN where no pair was measured.
-
-    Light and viewer change places: (a, r, t) ↔ (r, a, −t) for r ≥ 0 and (−r, −a, t) for r < 0.
-    """
-    a, r, t = np.meshgrid(*table.axes_deg, indexing="ij")
-    swapped = (
-        np.where(r >= 0, r, -r),
-        np.where(r >= 0, a, -a),
-        np.where(r >= 0, -t, t),
-    )
-    index = []
-    there = np.ones(a.shape, bool)
-    for axis, angle in zip(table.axes_deg, swapped, strict=True):
-        place = np.clip(np.searchsorted(axis, angle - 1e-6), 0, len(axis) - 1)
-        there &= abs(axis[place] - angle) < 1e-6
-        index.append(place)
-    value: Floats = np.where(table.measured, table.before_averaging.mean(axis=-1), np.nan)
-    other = value[tuple(index)]
-    pair = there & ~np.isnan(value) & ~np.isnan(other)
-    size = (abs(value) + abs(other))[pair] / 2
-    if not pair.any() or size.sum() == 0:
-        return float("nan"), float("nan")
-    difference = abs(value - other)[pair]
-    worst = np.max(difference / np.maximum(size, 1e-6 * size.max()))
-    return float(difference.sum() / size.sum()), float(worst)
 
 
 def _percent(share: float) -> str:

@@ -8,17 +8,18 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from raden_torch.brdf.interpolation import SCHEMES, bake, reconstruct, why_not
-from raden_torch.brdf.interpolation.choose import LEAST_READINGS, best, hold_out_losses, losses
-from raden_torch.brdf.interpolation.schemes import Reconstruction
-from raden_torch.brdf.scattered import SCHEME as KRIGING
-from raden_torch.brdf.scattered import between_readings, known_nodes
+from raden_torch.arrays import Floats
+from raden_torch.brdf.bake import bake
 from raden_torch.brdf.table import ReflectanceTable
-from raden_torch.brdf.tabulate import Floats, Tabulated
+from raden_torch.brdf.tabulate import Tabulated
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import FACTOR_PER_SR
+from raden_torch.reflectance.interpolation import SCHEMES, Interpolant, interpolate, why_not
+from raden_torch.reflectance.log_readings import LUMINANCE, LogReadings
+from raden_torch.reflectance.scattered import KRIGING, through_readings
+from raden_torch.reflectance.scheme_choice import LEAST_READINGS, best, hold_out_losses, losses
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class Choice:
 def choose_interpolation(
     table: Tabulated, total: Floats, wanted: str, validation: BrdfMeasurement | None
 ) -> Choice:
-    """Decide what lies between the nodes; see `interpolation.choose`.
+    """Decide what lies between the nodes; see `reflectance.scheme_choice`.
 
     Args:
         total: `[A, R, T, 3]` f_r without gaps.
@@ -52,7 +53,7 @@ def choose_interpolation(
         raise InputError(f"interpolation {wanted!r}: auto, {', '.join(SCHEMES)}, {KRIGING} wanted")
     if wanted == KRIGING and table.scattered is None:
         raise InputError("interpolation kriging: is for scattered readings; these fill a grid")
-    reason = why_not(table.axes_deg)
+    reason = why_not(table.grid)
     if reason and wanted not in ("auto", "trilinear"):
         raise InputError(f"interpolation {wanted}: {reason}; trilinear supports this measurement")
     if wanted != "auto":
@@ -67,7 +68,7 @@ def choose_interpolation(
     if table.scattered is not None:
         return Choice(KRIGING, "its readings are scattered")
     known = (table.measured | table.assumed) & ~table.averaged
-    found = hold_out_losses(table.axes_deg, xyz, known)
+    found = hold_out_losses(table.grid, xyz, known)
     if not found:
         return Choice("trilinear", "too few nodes to hold some out")
     return Choice(best(found), "best on nodes held out of the measurement", found)
@@ -75,19 +76,13 @@ def choose_interpolation(
 
 def make_table(table: Tabulated, total: Floats, scheme: str) -> ReflectanceTable:
     """The model's table: the nodes themselves for trilinear, else the interpolator baked."""
-    first, step = (
-        tuple(float(value) for value in values)
-        for values in (
-            (axis[0] for axis in table.axes_deg),
-            (axis[1] - axis[0] for axis in table.axes_deg),
-        )
-    )
+    first, step = (tuple(values.tolist()) for values in (table.grid.low, table.grid.step))
     if scheme == "trilinear":
-        return ReflectanceTable(torch.from_numpy(total).float(), first, step)  # type: ignore[arg-type]
+        return ReflectanceTable(torch.from_numpy(total).float(), first, step)
     function, like = _function(table, _xyz_factors(total), scheme)
     baked = bake(function, like=like)
     values = baked.values @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
-    return ReflectanceTable(torch.from_numpy(values).float(), first, step, baked.pieces)  # type: ignore[arg-type]
+    return ReflectanceTable(torch.from_numpy(values).float(), first, step, baked.pieces)
 
 
 def _xyz_factors(f_r: Floats) -> Floats:
@@ -95,21 +90,19 @@ def _xyz_factors(f_r: Floats) -> Floats:
     return np.asarray(f_r @ np.linalg.inv(xyz_to_rgb_matrix()).T * FACTOR_PER_SR)
 
 
-def _all_schemes(table: Tabulated, xyz: Floats) -> Iterator[tuple[str, Reconstruction]]:
+def _all_schemes(table: Tabulated, xyz: Floats) -> Iterator[tuple[str, Interpolant]]:
     for name in (*SCHEMES, KRIGING) if table.scattered is not None else SCHEMES:
         yield name, _function(table, xyz, name)[0]
 
 
-def _function(
-    table: Tabulated, xyz: Floats, scheme: str
-) -> tuple[Reconstruction, Reconstruction | None]:
+def _function(table: Tabulated, xyz: Floats, scheme: str) -> tuple[Interpolant, Interpolant | None]:
     """What lies between the nodes; and a function that is read sooner and has the same shape."""
     if scheme != KRIGING or table.scattered is None:
-        return reconstruct(table.axes_deg, xyz, SCHEMES[scheme]), None
-    base = reconstruct(table.axes_deg, xyz, SCHEMES["lobes"])
-    nodes = np.stack(np.meshgrid(*table.axes_deg, indexing="ij"), axis=-1)
-    beyond = known_nodes(nodes[table.without_neighbour], xyz[table.without_neighbour])
-    return between_readings(base, table.scattered, beyond), base
+        return interpolate(table.grid, xyz, scheme), None
+    base = interpolate(table.grid, xyz, "lobes")
+    unread = table.without_neighbour
+    beyond = LogReadings.of_nodes(table.grid.nodes_deg()[unread], xyz[unread])
+    return through_readings(base, table.scattered, beyond), base
 
 
 def _validation_points(table: Tabulated, validation: BrdfMeasurement) -> tuple[Floats, Floats]:
@@ -120,13 +113,12 @@ def _validation_points(table: Tabulated, validation: BrdfMeasurement) -> tuple[F
             f"validation: {len(usable)} valid readings; at least {LEAST_READINGS} off the grid are "
             "needed to choose by"
         )
-    points = np.stack([usable.incidence_deg, usable.receiving_deg, usable.tilt_deg], axis=1)
-    low, high = (np.array([axis[end] for axis in table.axes_deg]) for end in (0, -1))
-    outside = int(((points < low - 1e-6) | (points > high + 1e-6)).any(axis=1).sum())
+    points = usable.angles_deg
+    outside = int((~table.grid.contains(points)).sum())
     if outside:
-        box = ", ".join(f"{a:g}…{b:g}" for a, b in zip(low, high, strict=True))
+        box = ", ".join(f"{axis[0]:g}…{axis[-1]:g}" for axis in table.grid)
         raise InputError(
             f"validation: {outside} of {len(usable)} readings lie outside the measured box "
             f"(incidence, receiving, tilt {box} deg); leave them out"
         )
-    return points, usable.as_xyz().values[:, 1]
+    return points, usable.as_xyz().values[:, LUMINANCE]

@@ -6,16 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from raden_torch.brdf.fill import Bools, Floats, fill
-from raden_torch.brdf.isotropic import AXES_DEG, derive, with_opposite_tilts
-from raden_torch.brdf.scattered import nodes_read, on_table, with_noise
+from raden_torch.arrays import Bools, Floats
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
-from raden_torch.measurement.distinct import DistinctReadings, distinct_readings
+from raden_torch.measurement.opposite_tilts import with_opposite_tilts
 from raden_torch.measurement.readings import FACTOR_PER_SR, LEAST_COVERAGE, RGB
-
-__all__ = ["Floats", "Tabulated", "tabulate"]
+from raden_torch.reflectance.gap_filling import fill
+from raden_torch.reflectance.grid import AngleGrid
+from raden_torch.reflectance.isotropic import GRID, derive
+from raden_torch.reflectance.log_readings import LogReadings
+from raden_torch.reflectance.scattered import nodes_read, on_grid, with_noise
 
 SCATTERED_STEP_DEG = 5.0
 """The table's step where the readings have no grid of their own: the paper's."""
@@ -31,14 +32,14 @@ class Tabulated:
     """A table and its history; all `[A, R, T]` unless stated.
 
     Attributes:
-        axes_deg: incidence, receiving, tilt, evenly spaced.
+        grid: evenly spaced.
         values: `[A, R, T, 3]` f_r in 1/sr; NaN in the nodes of `without_neighbour`.
         before_averaging: the same before equivalents at incidence 0 were averaged; NaN where no
             node has a reading of its own.
         measured: the node was measured; scattered readings: one lies within half a step.
         assumed: the node was not measured, but follows from measured ones by `assumption`.
-        from_equivalent, from_neighbours, without_neighbour, averaged: see `fill.Filled`.
-        asymmetry: see `fill.Filled`.
+        from_equivalent, from_neighbours, without_neighbour, averaged: see `gap_filling.Filled`.
+        asymmetry: see `gap_filling.Filled`.
         reading_angles: incidence, receiving, tilt of the valid readings, `[M]` each, in radians.
         readings: `[M, 3]` their f_r in 1/sr.
         scattered: the readings, where they do not lie on nodes or fill less than half of them.
@@ -46,7 +47,7 @@ class Tabulated:
         warnings: one sentence each.
     """
 
-    axes_deg: tuple[Floats, Floats, Floats]
+    grid: AngleGrid
     values: Floats
     before_averaging: Floats
     measured: Bools
@@ -58,7 +59,7 @@ class Tabulated:
     asymmetry: float
     reading_angles: tuple[Floats, Floats, Floats]
     readings: Floats
-    scattered: DistinctReadings | None
+    scattered: LogReadings | None
     assumption: str
     warnings: tuple[str, ...]
 
@@ -71,7 +72,7 @@ def tabulate(measurement: BrdfMeasurement, assume: str | None = None) -> Tabulat
 
     Args:
         assume: "isotropic": readings stand for the opposite tilt, too; where they tell of less
-            than half of the table even so, it follows from them as `isotropic.derive` says.
+            than half of the table even so, it follows from them by `reflectance.isotropic.derive`.
 
     Raises:
         InputError: no valid reading, one value only on an axis, readings in fewer than 5 % of the
@@ -87,7 +88,7 @@ def tabulate(measurement: BrdfMeasurement, assume: str | None = None) -> Tabulat
     table = None if _single_valued(both) else _tabulated(both)
     if table is None or table.without_neighbour.mean() > _MOSTLY:
         return _derived(measurement)
-    read = nodes_read(table.axes_deg, np.rad2deg(np.stack(angles, axis=1)))
+    read = nodes_read(table.grid, np.rad2deg(np.stack(angles, axis=1)))
     return replace(
         table,
         measured=table.measured & read,
@@ -108,24 +109,23 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
         )
     every, warnings = _as_rgb(measurement)
     rgb, angles = _readings(measurement)
-    grid = _uniform(every.grid()) if every.is_grid else None
+    nodes = _uniform(every.grid()) if every.is_grid else None
     scattered = None
-    if grid is None or grid.measured.mean() < _MOSTLY:
-        axes = (
-            _axis_around(rgb.incidence_deg),
-            _axis_around(rgb.receiving_deg),
-            _axis_around(rgb.tilt_deg),
+    if nodes is None or nodes.measured.mean() < _MOSTLY:
+        grid = AngleGrid.around(rgb.angles_deg, SCATTERED_STEP_DEG)
+        known = _valid_xyz(measurement)
+        scattered = with_noise(
+            LogReadings.of(known.angles_deg, known.values, known.std, known.count)
         )
-        scattered = with_noise(distinct_readings(_as_xyz(measurement, rgb)))
-        xyz, measured, filled = on_table(axes, scattered)
+        xyz, measured, filled = on_grid(grid, scattered)
         start = xyz @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
         filled = replace(filled, values=start)
         warnings.append(_scattered_warning(rgb))
     else:
-        axes, start, measured = grid.axes_deg, grid.values / FACTOR_PER_SR, grid.measured
-        filled = fill(axes, start)
+        grid, start, measured = nodes.axes_deg, nodes.values / FACTOR_PER_SR, nodes.measured
+        filled = fill(grid, start)
     return Tabulated(
-        axes_deg=axes,
+        grid=grid,
         values=filled.values,
         before_averaging=start,
         measured=measured,
@@ -146,11 +146,12 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
 def _derived(measurement: BrdfMeasurement) -> Tabulated:
     """From readings of one plane or one view of an isotropic sample."""
     rgb, angles = _readings(measurement)
-    derived = derive(_as_xyz(measurement, rgb))
+    xyz = _valid_xyz(measurement)
+    derived = derive(xyz.angles_deg, xyz.values, xyz.std, xyz.count)
     values = derived.values @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
     none = np.zeros_like(derived.measured)
     return Tabulated(
-        axes_deg=AXES_DEG,
+        grid=GRID,
         values=values,
         before_averaging=np.full_like(values, np.nan),
         measured=derived.measured,
@@ -219,11 +220,11 @@ def _as_rgb(measurement: BrdfMeasurement) -> tuple[BrdfMeasurement, list[str]]:
     return measurement.as_rgb(), []
 
 
-def _as_xyz(measurement: BrdfMeasurement, rgb: BrdfMeasurement) -> BrdfMeasurement:
+def _valid_xyz(measurement: BrdfMeasurement) -> BrdfMeasurement:
     """The valid readings, from what was measured where that makes a colour: its `std` is kept."""
-    if measurement.is_spectral and not measurement.has_colour:
-        return rgb.as_xyz()
-    return measurement.as_xyz()
+    known = measurement.select(measurement.valid)
+    grey = known.is_spectral and not known.has_colour
+    return _as_rgb(known)[0].as_xyz() if grey else known.as_xyz()
 
 
 def _uniform(grid: ReadingGrid) -> ReadingGrid | None:
@@ -253,15 +254,6 @@ def _uniform(grid: ReadingGrid) -> ReadingGrid | None:
 def _common_step(axis: Floats) -> float:
     """The greatest step, in whole 1e-4 degrees, that reaches every node."""
     return float(np.gcd.reduce(np.rint(np.diff(axis) * 1e4).astype(np.int64))) / 1e4
-
-
-def _axis_around(angle: Floats) -> Floats:
-    """Nodes at whole steps that enclose the readings."""
-    low, high = (
-        np.floor(angle.min() / SCATTERED_STEP_DEG),
-        np.ceil(angle.max() / SCATTERED_STEP_DEG),
-    )
-    return np.asarray(SCATTERED_STEP_DEG * np.arange(low, high + 1))
 
 
 def _scattered_warning(rgb: BrdfMeasurement) -> str:

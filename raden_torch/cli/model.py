@@ -36,7 +36,7 @@ def fit(
     interpolation: Annotated[
         str,
         typer.Option(
-            help="between nodes: auto, trilinear (the paper), log, ridge, cubic, lobes; kriging, "
+            help="between nodes: auto, trilinear (the paper), cubic, lobes; kriging, "
             "of scattered readings"
         ),
     ] = "auto",

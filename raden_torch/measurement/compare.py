@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from raden_torch.errors import InputError
 from raden_torch.measurement.consistency import MAX_BIRGE, SIGNIFICANT, Chi2, Covariance
 from raden_torch.measurement.error_parts import ErrorParts, Rows, error_parts
-from raden_torch.measurement.matching import angles_deg, interpolated_at, same_geometries
+from raden_torch.measurement.matching import interpolated_at, same_geometries
 from raden_torch.measurement.readings import XYZ, BrdfMeasurement, Floats
-from raden_torch.measurement.regions import regions
+from raden_torch.reflectance.regions import regions
 
 MAX_SCALE_STD = 3.0
 """How many standard deviations one factor between two measurements may be from 1."""
@@ -203,7 +203,7 @@ def _compared(pair: tuple[BrdfMeasurement, BrdfMeasurement], common: _Common) ->
     scale_std = _scale_std(pair)
     pairs = [_Pair.of(common.a, common.b, channel) for channel in range(len(channels))]
     judged = channels.index("Y") if "Y" in channels else len(channels) // 2
-    masks = {name: mask for name, mask in regions(at).items() if mask.any()}
+    masks = {name: mask for name, mask in regions(at.angles_deg).items() if mask.any()}
     masks["all"] = np.ones(len(at), bool)
     return Comparison(
         names=(first.metadata.sample, second.metadata.sample),
@@ -218,7 +218,7 @@ def _compared(pair: tuple[BrdfMeasurement, BrdfMeasurement], common: _Common) ->
         ),
         by_channel=tuple(one.covariance(scale_std).chi2(one.difference) for one in pairs),
         scale=_scale(pairs[judged], scale_std),
-        angles_deg=angles_deg(at)[:, :3],
+        angles_deg=at.angles_deg,
         deviations=pairs[judged].difference / pairs[judged].covariance(scale_std).std,
         region_masks=masks,
     )

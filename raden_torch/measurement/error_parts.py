@@ -11,7 +11,7 @@ from raden_torch.errors import InputError
 from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.common_errors import zero_sensitivity
 from raden_torch.measurement.readings import BrdfMeasurement, Floats
-from raden_torch.measurement.slopes import slopes_per_deg
+from raden_torch.reflectance.slopes import slopes_per_deg
 
 Rows = NDArray[np.intp]
 
@@ -107,6 +107,6 @@ def stated_variance(measurement: BrdfMeasurement) -> Floats:
 def zero_effects(measurement: BrdfMeasurement) -> Floats:
     """`[M, C, 3]`: what one standard deviation of each axis' zero does to each value."""
     m, common = measurement, measurement.metadata.common
-    angles = np.stack([m.incidence_deg, m.receiving_deg, m.tilt_deg], axis=1)
-    sensitivity = zero_sensitivity(m.values, angles, slopes_per_deg(m), common.white_deg)
+    slopes = slopes_per_deg(m.angles_deg, m.values, m.valid)
+    sensitivity = zero_sensitivity(m.values, m.angles_deg, slopes, common.white_deg)
     return np.asarray(sensitivity * np.array(common.zero_std_deg))

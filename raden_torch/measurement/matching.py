@@ -14,12 +14,10 @@ from scipy.spatial import KDTree
 
 from raden_torch.measurement.error_parts import ErrorParts, Rows
 from raden_torch.measurement.readings import BrdfMeasurement, Floats
-
-DIGITS = 6
-"""Angles, in degrees, that are the same when rounded so belong to one geometry."""
+from raden_torch.reflectance.grid import DIGITS
+from raden_torch.reflectance.local_quadratic import NUMBERS, local_quadratic
 
 _NEIGHBOURS = 32  # three for each number of a quadratic in three angles
-_NUMBERS = 10
 _REACH_DEG = 12.5  # of the nearest ten: beyond, it would be a guess
 _ROWS_AT_ONCE = 4_000
 
@@ -32,16 +30,16 @@ class Matched:
     second: Rows
 
 
-def angles_deg(measurement: BrdfMeasurement) -> Floats:
+def geometries_deg(measurement: BrdfMeasurement) -> Floats:
     """`[M, 4]` incidence, receiving, tilt and sample azimuth (0 where none is given)."""
     m = measurement
     azimuth = np.zeros(len(m)) if m.azimuth_deg is None else m.azimuth_deg
-    return np.stack([m.incidence_deg, m.receiving_deg, m.tilt_deg, azimuth], axis=1)
+    return np.column_stack([m.angles_deg, azimuth])
 
 
 def same_geometries(first: BrdfMeasurement, second: BrdfMeasurement) -> Matched:
     """The geometries, within 5e-7 degree, that both have a valid reading of; each once."""
-    keys = [np.round(angles_deg(m)[m.valid], DIGITS) + 0.0 for m in (first, second)]  # −0 is 0
+    keys = [np.round(geometries_deg(m)[m.valid], DIGITS) + 0.0 for m in (first, second)]  # −0 is 0
     of_first, of_second = ({tuple(key): row for row, key in enumerate(k.tolist())} for k in keys)
     both = [(row, of_second[key]) for key, row in of_first.items() if key in of_second]
     rows = np.array(both, np.intp).reshape(-1, 2)
@@ -60,30 +58,16 @@ def interpolated_at(
     Returns:
         Which of the wanted readings have enough neighbours, and the source there.
     """
-    places, known = angles_deg(wanted)[wanted.valid], angles_deg(source)[source.valid]
+    places, known = geometries_deg(wanted)[wanted.valid], geometries_deg(source)[source.valid]
     count = min(_NEIGHBOURS, len(known))
-    if count < _NUMBERS + 2:
+    if count < NUMBERS + 2:
         return np.zeros(0, np.intp), parts.at(np.zeros(0, np.intp))
     away, near = KDTree(known).query(places, k=np.arange(1, count + 1))
-    rows = np.flatnonzero(away[:, _NUMBERS - 1] < _REACH_DEG)
+    rows = np.flatnonzero(away[:, NUMBERS - 1] < _REACH_DEG)
     weights, added = np.empty((len(rows), count)), np.empty((len(rows), parts.values.shape[1]))
     for start in range(0, len(rows), _ROWS_AT_ONCE):
         part = slice(start, start + _ROWS_AT_ONCE)
         here = rows[part]
         offsets = (known[near[here]] - places[here, None])[..., :3]
-        weights[part], added[part] = _quadratic(offsets, away[here], parts.values[near[here]])
+        weights[part], added[part] = local_quadratic(offsets, away[here], parts.values[near[here]])
     return rows, parts.interpolated(weights, near[rows], added)
-
-
-def _quadratic(offsets: Floats, away: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Weights `[N, K]` of neighbours in the value at 0, and what it is uncertain by `[N, C]`."""
-    reach = away[:, -1:] * 1.05 + 1e-9
-    kernel = (1 - (away / reach) ** 3) ** 1.5  # the square root of the tricube
-    x = offsets / reach[..., None]
-    products = [x[..., i] * x[..., j] for i in range(3) for j in range(i, 3)]
-    design = np.concatenate([np.ones_like(x[..., :1]), x, np.stack(products, -1)], axis=-1)
-    solved = np.linalg.pinv(design * kernel[..., None], rcond=1e-6)
-    residual = values - design @ (solved @ (values * kernel[..., None]))
-    squares = (residual**2 * kernel[..., None] ** 2).sum(axis=1)
-    freedom = (kernel**2).sum(axis=1) * (1 - _NUMBERS / kernel.shape[1])
-    return solved[:, 0] * kernel, np.sqrt(squares / freedom[:, None])

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raden_torch.arrays import Floats as Floats
 from raden_torch.errors import InputError
 from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.consistency import pair_contradicts
-
-Floats = NDArray[np.float64]
+from raden_torch.reflectance.grid import DIGITS, AngleGrid
 
 XYZ = ("X", "Y", "Z")
 RGB = ("R", "G", "B")
@@ -26,7 +26,6 @@ LEAST_COVERAGE = 0.05
 """Share of a grid's cells with a reading below which it is too little for a model."""
 
 _ANGLE_LIMITS = {"incidence": (0.0, 90.0), "receiving": (-90.0, 90.0), "tilt": (-90.0, 90.0)}
-_ANGLE_DIGITS = 6  # two readings within 5e-7 degree of each other have the same geometry
 _MAX_GRID_CELLS = 20_000_000
 _SCATTERED = 50  # a grid with more cells than this many per reading is not a grid
 
@@ -73,8 +72,8 @@ class ReadingGrid:
     channels: tuple[str, ...]
 
     @property
-    def axes_deg(self) -> tuple[Floats, Floats, Floats]:
-        return self.incidence_deg, self.receiving_deg, self.tilt_deg
+    def axes_deg(self) -> AngleGrid:
+        return AngleGrid(self.incidence_deg, self.receiving_deg, self.tilt_deg)
 
     @property
     def measured(self) -> NDArray[np.bool_]:
@@ -153,6 +152,11 @@ class BrdfMeasurement:
     # -- derived -------------------------------------------------------------------------------
 
     @property
+    def angles_deg(self) -> Floats:
+        """`[M, 3]` incidence, receiving and tilt."""
+        return np.stack([self.incidence_deg, self.receiving_deg, self.tilt_deg], axis=1)
+
+    @property
     def is_spectral(self) -> bool:
         return _wavelength(self.channels[0]) is not None
 
@@ -212,20 +216,15 @@ class BrdfMeasurement:
         """How many sample azimuths the readings were taken at; 1 where none is given."""
         if self.azimuth_deg is None:
             return 1
-        return len(np.unique(np.round(self.azimuth_deg, _ANGLE_DIGITS)))
+        return len(np.unique(np.round(self.azimuth_deg, DIGITS)))
 
     @property
     def is_grid(self) -> bool:
         """True where the readings fill a good part of a regular grid, at one azimuth."""
-        cells = np.prod([len(axis) for axis, _ in self._axes()], dtype=np.float64)
+        cells = np.prod(AngleGrid.through(self.angles_deg)[0].shape, dtype=np.float64)
         return bool(
             self.azimuths == 1 and cells <= min(_MAX_GRID_CELLS, _SCATTERED * len(self) + 1000)
         )
-
-    def _axes(self) -> list[tuple[Floats, NDArray[np.intp]]]:
-        """Per angle: its distinct values, and which of them each reading has."""
-        angles = (self.incidence_deg, self.receiving_deg, self.tilt_deg)
-        return [np.unique(np.round(a, _ANGLE_DIGITS), return_inverse=True) for a in angles]
 
     def grid(self) -> ReadingGrid:
         """The regular grid of these readings; its axes are the distinct angles that occur.
@@ -241,15 +240,15 @@ class BrdfMeasurement:
                 f"measurement: {self.azimuths} sample azimuths do not make one grid; select the "
                 "readings of one azimuth"
             )
-        axes, index = zip(*self._axes(), strict=True)
-        shape = tuple(len(axis) for axis in axes)
+        grid, index = AngleGrid.through(self.angles_deg)
+        shape = grid.shape
         cells = int(np.prod(shape, dtype=np.float64))
         if not self.is_grid:
             raise InputError(
                 f"measurement: {len(self)} readings lie scattered (a grid through all of them has "
                 f"{' x '.join(map(str, shape))} cells); a grid was wanted"
             )
-        flat = np.ravel_multi_index(index, shape)[self.valid]
+        flat = np.ravel_multi_index(tuple(index.T), shape)[self.valid]
         weight = np.ones(len(self)) if self.count is None else np.maximum(self.count, 1.0)
         weight = weight[self.valid]
         total = np.zeros((cells, len(self.channels)))
@@ -259,8 +258,7 @@ class BrdfMeasurement:
             values = total / seen[:, None]
         once = np.bincount(flat, minlength=cells)[flat] == 1  # a lone reading is kept to the bit
         values[flat[once]] = self.values[self.valid][once]
-        incidence, receiving, tilt = axes
-        return ReadingGrid(incidence, receiving, tilt, values.reshape(*shape, -1), self.channels)
+        return ReadingGrid(*grid, values.reshape(*shape, -1), self.channels)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the project's CSV; `load_measurement` reads back an equal measurement."""
@@ -328,7 +326,7 @@ class BrdfMeasurement:
         if self.azimuth_deg is not None:
             columns.append(self.azimuth_deg)
         rows = np.flatnonzero(self.valid)
-        key = np.round(np.stack(columns, axis=1)[rows], _ANGLE_DIGITS)
+        key = np.round(np.stack(columns, axis=1)[rows], DIGITS)
         order = np.lexsort(key.T[::-1])
         same = (key[order][1:] == key[order][:-1]).all(axis=1)
         if not same.any():

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.compare import common_channels
 from raden_torch.measurement.error_parts import stated_variance
-from raden_torch.measurement.matching import DIGITS, angles_deg
+from raden_torch.measurement.matching import geometries_deg
 from raden_torch.measurement.readings import BrdfMeasurement, Floats
+from raden_torch.reflectance.grid import DIGITS
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Stack:
     def of(cls, measurements: Sequence[BrdfMeasurement]) -> Stack:
         channels = common_channels(tuple(measurements))
         kept = [m.select(m.valid) for m in measurements]
-        angles = np.concatenate([np.round(angles_deg(m), DIGITS) + 0.0 for m in kept])
+        angles = np.concatenate([np.round(geometries_deg(m), DIGITS) + 0.0 for m in kept])
         cells, cell = np.unique(angles, axis=0, return_inverse=True)
         values, variances = [], []
         for m in kept:

@@ -10,8 +10,8 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.fill import fill
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.reflectance.gap_filling import fill
 
 
 def hide(m: BrdfMeasurement, hidden: np.ndarray) -> BrdfMeasurement:

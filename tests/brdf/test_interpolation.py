@@ -11,15 +11,17 @@ import torch
 from scipy.interpolate import Akima1DInterpolator
 
 import raden_torch as rt
-from raden_torch.brdf.interpolation import SCHEMES, bake, reconstruct, why_not
-from raden_torch.brdf.interpolation.choose import best, hold_out_losses, losses
-from raden_torch.brdf.interpolation.kernels import akima, linear
-from raden_torch.brdf.interpolation.lobes import fit_lobes
+from raden_torch.brdf.bake import bake
 from raden_torch.brdf.score import reflectance_factors, score
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.reflectance.grid import AngleGrid
+from raden_torch.reflectance.interpolation import SCHEMES, interpolate, why_not
+from raden_torch.reflectance.kernels import akima, linear
+from raden_torch.reflectance.lobes import fit_lobes
+from raden_torch.reflectance.scheme_choice import best, hold_out_losses, losses
 
-AXES = (np.arange(0, 71, 5.0), np.arange(-70, 71, 5.0), np.arange(-70, 71, 5.0))
+GRID = AngleGrid(np.arange(0, 71, 5.0), np.arange(-70, 71, 5.0), np.arange(-70, 71, 5.0))
 
 
 def lobe(points: np.ndarray, width_deg: float, peak: float, *tilts: float) -> np.ndarray:
@@ -33,7 +35,7 @@ def lobe(points: np.ndarray, width_deg: float, peak: float, *tilts: float) -> np
 
 
 def grid_of(function) -> np.ndarray:
-    points = np.stack(np.meshgrid(*AXES, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = GRID.nodes_deg().reshape(-1, 3)
     return np.repeat(function(points).reshape(15, 29, 29, 1), 3, axis=3)
 
 
@@ -58,8 +60,8 @@ def test_kernels_agree_with_scipy_and_keep_nodes() -> None:
 @pytest.mark.parametrize("name", SCHEMES)
 def test_every_scheme_keeps_the_nodes(name: str) -> None:
     values = grid_of(lambda p: lobe(p, 6.0, 100.0)) * [0.8, 1.0, 1.3]
-    points = np.stack(np.meshgrid(*AXES, indexing="ij"), axis=-1).reshape(-1, 3)
-    found = reconstruct(AXES, values, SCHEMES[name])(points)
+    points = GRID.nodes_deg().reshape(-1, 3)
+    found = interpolate(GRID, values, name)(points)
     assert found == pytest.approx(values.reshape(-1, 3), rel=1e-9)
 
 
@@ -71,7 +73,7 @@ def test_lobes_beat_the_paper_between_the_nodes(width: float, tilts: tuple[float
     truth = lobe(points, width, 500.0, *tilts)
     values = grid_of(lambda p: lobe(p, width, 500.0, *tilts))
     found = losses(
-        ((name, reconstruct(AXES, values, SCHEMES[name])) for name in ("trilinear", "lobes")),
+        ((name, interpolate(GRID, values, name)) for name in ("trilinear", "lobes")),
         points,
         truth,
     )
@@ -80,22 +82,22 @@ def test_lobes_beat_the_paper_between_the_nodes(width: float, tilts: tuple[float
 
 def test_lobes_find_their_centres_and_decline_what_is_none() -> None:
     logs = np.log(10 + grid_of(lambda p: lobe(p, 4.0, 300.0, -12.0, 12.0))[..., 1])
-    fitted = fit_lobes(AXES, logs)
+    fitted = fit_lobes(GRID, logs)
     assert sorted(fitted.centre_deg[:, 1]) == pytest.approx([-12, 12], abs=0.5)
     assert abs(fitted.centre_deg[:, 0]).max() < 0.5
     noise = np.random.default_rng(0).random(logs.shape)
-    assert fit_lobes(AXES, noise) is None
+    assert fit_lobes(GRID, noise) is None
 
 
 def test_baking_keeps_nodes_and_the_size_asked_for() -> None:
     values = grid_of(lambda p: lobe(p, 3.0, 300.0))
-    function = reconstruct(AXES, values, SCHEMES["lobes"])
+    function = interpolate(GRID, values, "lobes")
     previous = np.inf
     for nodes in (20_000, 60_000):
         baked = bake(function, nodes)
         assert np.prod(baked.values.shape[:3]) <= nodes
         table = rt.RadenBrdf(None, _table(baked))
-        points = np.stack(np.meshgrid(*AXES, indexing="ij"), axis=-1).reshape(-1, 3)
+        points = GRID.nodes_deg().reshape(-1, 3)
         assert _read(table, points) == pytest.approx(values.reshape(-1, 3), rel=1e-9)
         off = random_points(3000)
         error = np.sqrt(np.mean((_read(table, off) - function(off)) ** 2))
@@ -154,7 +156,7 @@ def test_hold_out_ranks_as_off_grid_truth_does() -> None:
     held_out = hold_out_losses(grid.axes_deg, grid.values, grid.measured)
     points = random_points(2000)
     truth = rt.simulate_specimen("akoya", geometries_deg=points).values[:, 1]
-    candidates = ((k, reconstruct(grid.axes_deg, grid.values, s)) for k, s in SCHEMES.items())
+    candidates = ((k, interpolate(grid.axes_deg, grid.values, k)) for k in SCHEMES)
     true = losses(candidates, points, truth)
     assert best(held_out) == best(true) == "lobes"
     assert held_out["trilinear"] == true["trilinear"] == 1
@@ -185,7 +187,7 @@ def test_validation_readings_decide(analytic) -> None:
 
 def _resampled(m: BrdfMeasurement, points: np.ndarray) -> BrdfMeasurement:
     grid = m.grid()
-    values = reconstruct(grid.axes_deg, grid.values, SCHEMES["cubic"])(points)
+    values = interpolate(grid.axes_deg, grid.values, "cubic")(points)
     return BrdfMeasurement(*points.T, values=values)
 
 

@@ -10,16 +10,12 @@ import torch
 from typer.testing import CliRunner
 
 import raden_torch as rt
-from raden_torch.brdf.isotropic import (
-    AXES_DEG,
-    Reach,
-    derive,
-    half_and_difference_deg,
-    with_opposite_tilts,
-)
 from raden_torch.cli.common import app
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.measurement.opposite_tilts import with_opposite_tilts
+from raden_torch.reflectance.isotropic import GRID, Derived, Reach, half_and_difference_deg
+from raden_torch.reflectance.isotropic import derive as derive_from
 
 PLANE = np.array([(a, r, 0.0) for a in range(0, 71, 10) for r in range(-80, 81, 5)], float)
 VIEW = np.array([(a, 0.0, 0.0) for a in range(0, 90)], float)
@@ -27,6 +23,10 @@ VIEW = np.array([(a, 0.0, 0.0) for a in range(0, 90)], float)
 
 def measured(angles: np.ndarray, y: np.ndarray) -> BrdfMeasurement:
     return BrdfMeasurement(*angles.T, y[:, None] * [0.95, 1.0, 1.09])
+
+
+def derive(m: BrdfMeasurement) -> Derived:
+    return derive_from(m.angles_deg, m.values)
 
 
 def lobe(angles: np.ndarray) -> np.ndarray:
@@ -62,7 +62,7 @@ def test_a_perfect_diffuser_stays_one(angles: np.ndarray) -> None:
 
 def test_one_plane_tells_of_a_lobe_everywhere_that_it_reaches() -> None:
     found = derive(measured(PLANE, lobe(PLANE)))
-    nodes = np.stack(np.meshgrid(*AXES_DEG, indexing="ij"), axis=-1).reshape(-1, 3)
+    nodes = GRID.nodes_deg().reshape(-1, 3)
     half, difference = half_and_difference_deg(nodes)
     reached = half + difference < 75
     assert reached.mean() > 0.5
@@ -74,7 +74,7 @@ def test_one_plane_tells_of_a_lobe_everywhere_that_it_reaches() -> None:
 
 def test_one_view_tells_of_the_half_angle() -> None:
     found = derive(measured(VIEW, 20 + 200 * np.exp(-((VIEW[:, 0] / 24) ** 2))))
-    nodes = np.stack(np.meshgrid(*AXES_DEG, indexing="ij"), axis=-1).reshape(-1, 3)
+    nodes = GRID.nodes_deg().reshape(-1, 3)
     half = np.minimum(half_and_difference_deg(nodes)[0], 44.5)
     truth = 20 + 200 * np.exp(-((half / 12) ** 2))
     np.testing.assert_allclose(found.values[..., 1].ravel(), truth, rtol=0.01)

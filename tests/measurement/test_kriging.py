@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.distinct import FLOOR, distinct_readings
-from raden_torch.measurement.kriging import Kriging, canonical
+from raden_torch.reflectance.kriging import Kriging
+from raden_torch.reflectance.log_readings import FLOOR, LogReadings
+from raden_torch.reflectance.symmetry import canonical
 
 
 @pytest.fixture
@@ -63,7 +64,8 @@ def test_readings_of_one_geometry_become_their_mean() -> None:
         std=np.full((4, 3), 0.2),
         count=np.array([1, 3, 1, 1]),
     )
-    found = distinct_readings(m)
+    m = m.select(m.valid)
+    found = LogReadings.of(m.angles_deg, m.values, m.std, m.count)
     np.testing.assert_array_equal(found.angles_deg, [[0, 20, 5], [10, 5, 0]])
     np.testing.assert_allclose(np.exp(found.logs[:, 1]) - FLOOR, [11.5, 50.0])
     variance = np.array([0.2**2 * 10 / 16, 0.2**2]) / (FLOOR + np.array([11.5, 50.0])) ** 2

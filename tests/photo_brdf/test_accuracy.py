@@ -12,7 +12,7 @@ import pytest
 
 from raden_torch.capture.importers import load_measurement
 from raden_torch.capture.photo.capture_brdf import CapturedBrdf
-from raden_torch.measurement.regions import regions
+from raden_torch.reflectance.regions import regions
 
 Run = Callable[..., CapturedBrdf]
 
@@ -21,7 +21,7 @@ def errors(found: CapturedBrdf, truth: np.ndarray) -> dict[str, np.ndarray]:
     """Relative errors of the covered cells, by region."""
     m = found.measurement
     relative = np.abs(m.values - truth).mean(axis=1) / truth.mean(axis=1)
-    return {name: relative[where & m.valid] for name, where in regions(m).items()}
+    return {name: relative[where & m.valid] for name, where in regions(m.angles_deg).items()}
 
 
 def check(found: CapturedBrdf, truth: np.ndarray, limits: tuple[float, float]) -> None:

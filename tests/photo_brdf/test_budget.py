@@ -10,7 +10,7 @@ import pytest
 
 from raden_torch.capture.photo.brdf.budget import direction_slopes
 from raden_torch.capture.photo.capture_brdf import capture_brdf
-from raden_torch.measurement.regions import regions
+from raden_torch.reflectance.regions import regions
 
 
 @pytest.mark.slow
@@ -32,7 +32,7 @@ def test_repeats_scatter_by_the_stated_deviation(
         deviations.append(found.measurement.std)
     z = (np.array(values) - sphere.truth()) / np.array(deviations)
     for name in ("ridge", "body", "grazing"):
-        where = regions(found.measurement)[name] & np.isfinite(z).all(axis=(0, 2))
+        where = regions(found.measurement.angles_deg)[name] & np.isfinite(z).all(axis=(0, 2))
         assert where.sum() > 50
         assert 0.5 < np.sqrt(np.mean(z[:, where] ** 2)) < 1.2, name
 

@@ -25,8 +25,8 @@ from raden_torch.capture.spectrometer.white import White
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.compare import compare
-from raden_torch.measurement.regions import regions
 from raden_torch.optics import simulate_specimen
+from raden_torch.reflectance.regions import regions
 
 BOX = {"incidence": (20.0, 60.0), "receiving": (-60.0, 60.0), "tilt": (0.0, 15.0)}
 """Ridge, body, grazing and retro, with the neighbours that slopes need: 900 cells."""
@@ -63,7 +63,7 @@ def test_the_stated_std_is_what_repeated_scans_scatter_by(shell) -> None:
     std = np.array([one.measurement.std for one in found])
     ratio = values.std(axis=0, ddof=1) / np.sqrt((std**2).mean(axis=0))
     z = (values - truth.values) / std
-    for name, mask in regions(truth).items():
+    for name, mask in regions(truth.angles_deg).items():
         assert 0.8 < np.median(ratio[mask]) < 1.25, name
         assert np.mean(z[:, mask] ** 2) == pytest.approx(1, abs=0.25), name
     assert np.mean(z**2) == pytest.approx(1, abs=0.1)
@@ -88,7 +88,7 @@ def test_each_term_alone_is_as_large_as_its_error(
     scene, truth = shell
     quiet = {"noise": 1e-5, "dark_noise_cd_m2": 0.0, "lamp_drift": 0.0}
     found = scans(scene, Conditions(**(quiet | conditions)), 20)
-    mask = regions(truth)[region]
+    mask = regions(truth.angles_deg)[region]
     values = np.array([one.measurement.values for one in found])[:, mask]
     stated = np.sqrt(np.mean([one.budget.terms()[term][mask] ** 2 for one in found], axis=0))
     assert np.median(values.std(axis=0, ddof=1) / stated) == pytest.approx(1, abs=0.25)
@@ -184,9 +184,9 @@ def test_where_the_white_stood_the_irradiance_s_zero_cancels(scanned) -> None:
     plan = make_plan(grid(step_deg=15, incidence=(15, 75), tilt=(0, 0), receiving=(0, 0)), "line")
     reduced = reduce_readings(scanned(plan, stated=StatedUncertainty((0.1, 0.0, 0.0))))
     m = reduced.measurement
-    from raden_torch.measurement.slopes import slopes_per_deg
+    from raden_torch.reflectance.slopes import slopes_per_deg
 
-    slope = slopes_per_deg(m)[:, :, 0]
+    slope = slopes_per_deg(m.angles_deg, m.values, m.valid)[:, :, 0]
     lit = np.radians(1.0) * (1.0 - np.tan(np.radians(m.incidence_deg)))[:, None] * m.values
     np.testing.assert_allclose(reduced.budget.zeros, 0.1 * abs(slope + lit), rtol=1e-9)
     assert abs(lit[m.incidence_deg == 45]).max() < 1e-12

@@ -26,7 +26,7 @@ from raden_torch.capture.spectrometer.travel import short_order, travel_deg
 from raden_torch.capture.spectrometer.where_next import choose, estimate
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.kriging import canonical
+from raden_torch.reflectance.symmetry import canonical
 
 BUDGET_SHARE = 0.4
 """Of the readings of the grid between whose nodes it refines, where nobody says."""

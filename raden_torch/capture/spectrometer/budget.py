@@ -32,7 +32,7 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.budget_terms import BudgetTerms
 from raden_torch.measurement.common_errors import CommonErrors, zero_sensitivity
 from raden_torch.measurement.error_parts import zero_effects
-from raden_torch.measurement.slopes import slopes_per_deg
+from raden_torch.reflectance.slopes import slopes_per_deg
 
 _POOLED = 4.0  # degrees of freedom; see `repeatability`
 
@@ -85,10 +85,10 @@ def geometry_terms(measurement: BrdfMeasurement, header: Header) -> GeometryTerm
     What the zeros do is what a comparison will take out again: the same function says it.
     """
     m = measurement
-    angles = np.stack([m.incidence_deg, m.receiving_deg, m.tilt_deg], axis=1)
     # a move to the sample is none to the white: where that stands does not matter
     upright = None if m.metadata.common.white_deg is None else (0.0, 0.0, 0.0)
-    moved = zero_sensitivity(m.values, angles, slopes_per_deg(m), upright)
+    slopes = slopes_per_deg(m.angles_deg, m.values, m.valid)
+    moved = zero_sensitivity(m.values, m.angles_deg, slopes, upright)
     return GeometryTerms(
         _in_quadrature(moved * np.array(header.stated.position_std_deg)),
         _in_quadrature(zero_effects(m)),

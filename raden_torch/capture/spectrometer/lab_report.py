@@ -13,8 +13,9 @@ from raden_torch.capture.spectrometer.journal import Contents
 from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.reduction import Reduced
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.reflectance.grid import DIGITS
+from raden_torch.reflectance.symmetry import reciprocal
 
-_DIGITS = 6
 _FEWEST_PAIRS = 20
 _RECIPROCAL = 0.8  # of the pairs within 2 standard deviations; 0.95 where only noise is left
 
@@ -264,17 +265,13 @@ def _median_terms(reduced: Reduced) -> dict[str, float]:
 def check_reciprocity(measurement: BrdfMeasurement) -> Reciprocity:
     """Compare every valid cell with its reciprocal one, where that was measured, too.
 
-    Light and viewer change places: (a, r, t) ↔ (r, a, −t) for r ≥ 0 and (−r, −a, t) for r < 0. Real
-    samples and rigs break the law; a large figure is a reason to check the rig's zeros.
+    Real samples and rigs break the law; a large figure is a reason to check the rig's zeros.
     """
     m = measurement.select(measurement.valid) if measurement.valid.any() else None
     if m is None:
         return Reciprocity(0, float("nan"), float("nan"))
-    a, r, t = m.incidence_deg, m.receiving_deg, m.tilt_deg
-    ahead = r >= 0
-    swapped = np.stack([abs(r), np.where(ahead, a, -a), np.where(ahead, -t, t)], axis=1)
-    rows = {key: row for row, key in enumerate(_keys(np.stack([a, r, t], axis=1)))}
-    other = np.array([rows.get(key, -1) for key in _keys(swapped)])
+    rows = {key: row for row, key in enumerate(_keys(m.angles_deg))}
+    other = np.array([rows.get(key, -1) for key in _keys(reciprocal(m.angles_deg))])
     here = np.flatnonzero(other > np.arange(len(m)))  # each pair once, none with itself
     there = other[here]
     y, std = m.values[:, 1], np.zeros(len(m)) if m.std is None else m.std[:, 1]
@@ -287,7 +284,11 @@ def check_reciprocity(measurement: BrdfMeasurement) -> Reciprocity:
         len(here),
         float(difference.sum() / size.sum()),
         float((difference <= allowed).mean()),
-        (float(a[worst]), float(r[worst]), float(t[worst])),
+        (
+            float(m.incidence_deg[worst]),
+            float(m.receiving_deg[worst]),
+            float(m.tilt_deg[worst]),
+        ),
     )
 
 
@@ -311,7 +312,7 @@ def _decisions(contents: Contents) -> str:
 
 
 def _keys(angles: Floats) -> list[tuple[float, ...]]:
-    return [tuple(row) for row in (np.round(angles, _DIGITS) + 0.0).tolist()]  # −0 becomes 0
+    return [tuple(row) for row in (np.round(angles, DIGITS) + 0.0).tolist()]  # −0 becomes 0
 
 
 def _percent(share: float) -> str:

@@ -1,6 +1,6 @@
 """Where would another reading tell most?
 
-The readings so far are kriged (`measurement.kriging`), as `fit` does with them. Two things make an
+The readings so far are kriged (`reflectance.kriging`), as `fit` does with them. Two things make an
 estimate of the error at a place that was not read: how far it is from the readings, which the
 kriging's own standard deviation says; and how much the sample changes there, which the readings
 around say, each left out and predicted from the others. What their noise alone explains is taken
@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.distinct import FLOOR, distinct_readings
-from raden_torch.measurement.kriging import canonical, ridge_coordinates
+from raden_torch.reflectance.kriging import ridge_coordinates
+from raden_torch.reflectance.log_readings import FLOOR, LUMINANCE, LogReadings
+from raden_torch.reflectance.symmetry import canonical
 
-_LUMINANCE = 1
 _AROUND = 12  # readings whose left-out errors tell how much the sample changes at a place
 _APART = 0.6  # of the distance to the nearest reading: how near two readings of a batch may lie
 _LEAST_SHARE = 0.01  # of a left-out error's square that is believed whatever the noise
@@ -49,11 +49,11 @@ def estimate(readings: BrdfMeasurement, candidates: Floats) -> Estimate:
     Args:
         readings: the valid ones, XYZ; their `std` tells noise from change.
     """
-    known = distinct_readings(readings)
-    noise, logs = known.noise, known.logs[:, _LUMINANCE]
+    known = LogReadings.of(readings.angles_deg, readings.values, readings.std, readings.count)
+    noise, logs = known.noise, known.logs[:, LUMINANCE]
     kriging = known.kriged()
     errors, unit = kriging.leave_one_out()
-    square = errors[:, _LUMINANCE] ** 2 / known.spread
+    square = errors[:, LUMINANCE] ** 2 / known.spread
     _, around = kriging.nearest(candidates, _AROUND)
     total, states = square[around].sum(axis=1), (unit**2)[around].sum(axis=1)
     # a left-out error holds the reading's own noise, and about half as much of its neighbours'
@@ -62,7 +62,7 @@ def estimate(readings: BrdfMeasurement, candidates: Floats) -> Estimate:
     change = np.clip(change, _LEAST_SHARE * total / states, total / states)
     mean, std = kriging.with_std(candidates)
     log_error = std * np.sqrt(known.spread * change)
-    y = np.maximum(np.exp(mean[:, _LUMINANCE]) - FLOOR, 0)
+    y = np.maximum(np.exp(mean[:, LUMINANCE]) - FLOOR, 0)
     slope = log_error * (FLOOR + y)  # of Y over its logarithm
     level = max(float(np.quantile(np.exp(logs) - FLOOR, 0.999)), 1e-9)
     of_rms, of_log = (slope / level) ** 2, slope / (1 + y)

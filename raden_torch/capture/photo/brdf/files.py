@@ -12,7 +12,7 @@ from raden_torch.capture.photo.checking_picture import picture_path
 from raden_torch.capture.photo.result_file import check_result_path, write_result
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable
-from raden_torch.measurement.regions import regions
+from raden_torch.reflectance.regions import regions
 
 if TYPE_CHECKING:
     from raden_torch.capture.photo.capture_brdf import CapturedBrdf
@@ -80,7 +80,7 @@ def budget_table(found: CapturedBrdf) -> dict[str, dict[str, float]]:
     """Median over the covered cells of each region: each term, per cent of the value."""
     level = np.abs(found.measurement.values).mean(axis=1)
     table = {}
-    for name, where in regions(found.measurement).items():
+    for name, where in regions(found.measurement.angles_deg).items():
         cells = where & found.measurement.valid & (level > 0)
         if not cells.any():
             continue

@@ -13,27 +13,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from raden_torch.brdf.fill import Bools, Floats
-from raden_torch.brdf.interpolation.lobes import Axes
-from raden_torch.brdf.scattered import nodes_read, with_noise
+from raden_torch.arrays import Bools, Floats, Ints
 from raden_torch.errors import InputError
-from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.distinct import FLOOR, DistinctReadings, distinct_readings
+from raden_torch.reflectance.grid import AngleGrid
+from raden_torch.reflectance.log_readings import FLOOR, LogReadings
+from raden_torch.reflectance.scattered import nodes_read, with_noise
 
 STEP_DEG = 5.0
-AXES_DEG: Axes = (
+GRID = AngleGrid(
     np.arange(0.0, 71.0, STEP_DEG),
     np.arange(-70.0, 71.0, STEP_DEG),
     np.arange(-70.0, 71.0, STEP_DEG),
 )
 """Incidence, receiving and tilt of a derived table: the paper's."""
 
-_SAME_DEG = 6  # decimals
-
 
 @dataclass(frozen=True)
 class Derived:
-    """A table at the nodes of `AXES_DEG`.
+    """A table at the nodes of `GRID`.
 
     Attributes:
         values: `[A, R, T, 3]` XYZ reflectance factors.
@@ -46,54 +43,19 @@ class Derived:
     why: str
 
 
-def with_opposite_tilts(measurement: BrdfMeasurement) -> tuple[BrdfMeasurement, str]:
-    """Every reading at both its tilt and the opposite one; where both were read, their mean.
+def derive(
+    angles_deg: Floats, xyz: Floats, std: Floats | None = None, count: Ints | None = None
+) -> Derived:
+    """The paper's grid from readings, by half and difference angle alone.
 
-    Returns:
-        The valid readings, without azimuths, and what was assumed, in one sentence.
-    """
-    known = measurement.select(measurement.valid)
-    geometry = np.stack([known.incidence_deg, known.receiving_deg, abs(known.tilt_deg)], axis=1)
-    distinct, index = np.unique(np.round(geometry, _SAME_DEG), axis=0, return_inverse=True)
-    index = index.ravel()
-    weight = np.ones(len(known)) if known.count is None else np.maximum(known.count, 1.0)
-    total = np.bincount(index, weight)
-
-    def mean(columns: Floats, power: int = 1) -> Floats:
-        sums = [np.bincount(index, weight**power * column) for column in columns.T]
-        return np.asarray(np.stack(sums, axis=1) / total[:, None] ** power)
-
-    values = mean(known.values)
-    both = np.flatnonzero(distinct[:, 2] > 0)
-    rows = np.concatenate([np.arange(len(distinct)), both])
-    sign = np.where(np.arange(len(rows)) < len(distinct), 1.0, -1.0)
-    std = None if known.std is None else np.sqrt(mean(known.std**2, 2))
-    count = None if known.count is None else np.bincount(index, known.count).astype(np.int64)
-    whole = replace(
-        known,
-        incidence_deg=distinct[rows, 0],
-        receiving_deg=distinct[rows, 1],
-        tilt_deg=sign * distinct[rows, 2],
-        values=values[rows],
-        azimuth_deg=None,
-        std=None if std is None else std[rows],
-        count=None if count is None else count[rows],
-        valid=np.ones(len(rows), bool),
-    )
-    apart = _percent(abs(known.values - values[index]), values[index])
-    return whole, f"tilts t and -t are one geometry (readings lie {apart} off their mean)"
-
-
-def derive(xyz: BrdfMeasurement) -> Derived:
-    """The paper's grid from readings of XYZ, by half and difference angle alone.
+    Args:
+        angles_deg, xyz, std, count: as for `LogReadings.of`.
 
     Raises:
         InputError: the half angles that were read span less than a step, as in a measurement of
             the mirror direction alone.
     """
-    known = xyz.select(xyz.valid)
-    angles = np.stack([known.incidence_deg, known.receiving_deg, known.tilt_deg], axis=1)
-    half, difference = half_and_difference_deg(angles)
+    half, difference = half_and_difference_deg(angles_deg)
     reach = Reach(half, difference)
     low, high = reach.half_limits_deg
     if high - low < STEP_DEG:
@@ -102,11 +64,10 @@ def derive(xyz: BrdfMeasurement) -> Derived:
             f"span {low:.3g}…{high:.3g} deg; even of an isotropic sample a model needs "
             f"{STEP_DEG:g} deg of them; measure beside the mirror direction, too"
         )
-    readings = with_noise(distinct_readings(known, _in_plane(half, difference)))
-    kriging = _on_both_sides(readings).kriged()
-    missed = abs(np.exp(kriging(_in_plane(half, difference))) - FLOOR - known.values)
-    nodes = np.stack(np.meshgrid(*AXES_DEG, indexing="ij"), axis=-1)
-    wanted = half_and_difference_deg(nodes.reshape(-1, 3))
+    in_plane = _in_plane(half, difference)
+    kriging = _on_both_sides(with_noise(LogReadings.of(in_plane, xyz, std, count))).kriged()
+    missed = abs(np.exp(kriging(in_plane)) - FLOOR - xyz)
+    wanted = half_and_difference_deg(GRID.nodes_deg().reshape(-1, 3))
     held = reach.nearest(*wanted)
     inside = np.hypot(held[0] - wanted[0], held[1] - wanted[1]) < STEP_DEG / 2
     values = np.maximum(np.exp(kriging(_in_plane(*held))) - FLOOR, 0)
@@ -114,15 +75,14 @@ def derive(xyz: BrdfMeasurement) -> Derived:
         "reflectance depends on the half and the difference angle alone (half angle "
         f"{low:.3g}…{high:.3g} deg and difference angle {difference.min():.3g}…"
         f"{difference.max():.3g} deg were measured; readings lie "
-        f"{_percent(missed, known.values)} off on average); {100 * inside.mean():.0f} % of the "
+        f"{mean_percent(missed, xyz)} off on average); {100 * inside.mean():.0f} % of the "
         "nodes lie among these, the others hold the nearest value"
     )
-    inner = (abs(angles) <= [axis[-1] + STEP_DEG / 2 for axis in AXES_DEG]).all(axis=1)
-    measured = nodes_read(AXES_DEG, angles[inner])
-    return Derived(values.reshape(*nodes.shape[:3], 3), measured, why)
+    inner = (abs(angles_deg) <= GRID.high + STEP_DEG / 2).all(axis=1)
+    return Derived(values.reshape(*GRID.shape, 3), nodes_read(GRID, angles_deg[inner]), why)
 
 
-def _on_both_sides(readings: DistinctReadings) -> DistinctReadings:
+def _on_both_sides(readings: LogReadings) -> LogReadings:
     """Readings of `_in_plane` angles, and again on the other side of the mirror direction."""
     incidence, receiving, _ = readings.angles_deg.T
     other = readings.angles_deg[receiving > incidence][:, [1, 0, 2]]
@@ -189,6 +149,7 @@ def _in_plane(half_deg: Floats, difference_deg: Floats) -> Floats:
     return np.stack([a, r, np.zeros_like(a)], axis=1)
 
 
-def _percent(apart: Floats, values: Floats) -> str:
+def mean_percent(apart: Floats, values: Floats) -> str:
+    """The mean of differences over that of values, as text."""
     size = float(abs(values).sum())
     return f"{100 * float(apart.sum()) / size:.2g} %" if size > 0 else "0 %"

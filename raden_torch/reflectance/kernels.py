@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from raden_torch.arrays import Floats
+
 Kernel = Callable[[Sequence[Floats], Floats], Floats]
 
 _FLAT = 1e-12

@@ -12,45 +12,40 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from raden_torch.brdf.interpolation.kernels import Floats
-from raden_torch.brdf.interpolation.lobes import Axes
-from raden_torch.brdf.interpolation.schemes import SCHEMES, reconstruct, why_not
+from raden_torch.arrays import Bools, Floats
+from raden_torch.reflectance.grid import AngleGrid
+from raden_torch.reflectance.interpolation import SCHEMES, interpolate, why_not
+from raden_torch.reflectance.log_readings import LUMINANCE
 
 LEAST_READINGS = 200
 """Fewer readings off the grid than this decide nothing."""
 
-_LUMINANCE = 1
 _TRILINEAR, _PREFERRED = "trilinear", "lobes"
 _CLEARLY = 0.95
 
 
-def hold_out_losses(axes_deg: Axes, values: Floats, known: NDArray[np.bool_]) -> dict[str, float]:
+def hold_out_losses(grid: AngleGrid, values: Floats, known: Bools) -> dict[str, float]:
     """Loss by scheme, from the measurement's own nodes.
 
     Args:
-        axes_deg, values: the filled grid, `[A, R, T, C]`.
+        values: the filled grid's, `[A, R, T, 3]` XYZ.
         known: `[A, R, T]`, which nodes are measured and may be scored on.
 
     Returns:
         Empty where every second node is too coarse a grid for any scheme but trilinear.
     """
-    coarse: Axes = (axes_deg[0][::2], axes_deg[1][::2], axes_deg[2][::2])
+    coarse = grid.every_second()
     if why_not(coarse):
         return {}
-    index: NDArray[np.intp] = np.indices(values.shape[:3])
-    inside = np.ones(values.shape[:3], bool)
-    for k, (angles, kept) in enumerate(zip(axes_deg, coarse, strict=True)):
-        inside &= angles[index[k]] <= kept[-1] + 1e-9
-    left_out = (index % 2 == 1).any(axis=0) & (index.sum(axis=0) % 2 == 1) & inside & known
-    points = np.stack([angles[i[left_out]] for i, angles in zip(index, axes_deg, strict=True)], 1)
-    truth = values[left_out][:, _LUMINANCE]
-    coarse_values = values[::2, ::2, ::2]
+    index = np.indices(values.shape[:3])
+    left_out = (index % 2 == 1).any(axis=0) & (index.sum(axis=0) % 2 == 1) & known
+    left_out &= coarse.contains(grid.nodes_deg())
+    every_second = values[::2, ::2, ::2]
     return losses(
-        ((name, reconstruct(coarse, coarse_values, scheme)) for name, scheme in SCHEMES.items()),
-        points,
-        truth,
+        ((name, interpolate(coarse, every_second, name)) for name in SCHEMES),
+        grid.nodes_deg()[left_out],
+        values[left_out][:, LUMINANCE],
     )
 
 
@@ -66,7 +61,7 @@ def losses(
     """
     errors = {}
     for name, function in candidates:
-        found = np.maximum(function(points)[:, _LUMINANCE], 0)
+        found = np.maximum(function(points)[:, LUMINANCE], 0)
         rms = float(np.sqrt(np.mean((found - truth) ** 2)))
         log = float(np.mean(abs(np.log1p(found) - np.log1p(np.maximum(truth, 0)))))
         errors[name] = (max(rms, 1e-12), max(log, 1e-12))

@@ -16,14 +16,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse.linalg import factorized
 
+from raden_torch.arrays import Bools, Floats, Ints
 from raden_torch.errors import InputError
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
+from raden_torch.reflectance.grid import SAME_DEG, AngleGrid
+from raden_torch.reflectance.symmetry import average_perpendicular, mirrored_nodes
 
 RIDGE_WEIGHT, RECEIVING_WEIGHT, TILT_WEIGHT = 1.0, 0.1, 0.03
 REACH = 3
@@ -54,18 +53,18 @@ class Filled:
     asymmetry: float
 
 
-def fill(axes_deg: tuple[Floats, Floats, Floats], values: Floats) -> Filled:
+def fill(grid: AngleGrid, values: Floats) -> Filled:
     """Fill a uniform grid.
 
     Args:
-        axes_deg: incidence, receiving, tilt; each uniformly spaced.
+        grid: evenly spaced.
         values: `[A, R, T, C]`, NaN where not measured.
     """
     measured = ~np.isnan(values).any(axis=-1)
-    values, averaged, asymmetry = average_perpendicular(axes_deg, values)
+    values, averaged, asymmetry = average_perpendicular(grid, values)
     known = np.asarray(~np.isnan(values).any(axis=-1))
     near = ndimage.binary_dilation(known, iterations=REACH) & ~known
-    values = _continue_smoothly(axes_deg, values, near)
+    values = _continue_smoothly(grid, values, near)
     return Filled(
         values=values,
         from_equivalent=known & ~measured,
@@ -76,39 +75,7 @@ def fill(axes_deg: tuple[Floats, Floats, Floats], values: Floats) -> Filled:
     )
 
 
-def average_perpendicular(
-    axes_deg: tuple[Floats, Floats, Floats], values: Floats
-) -> tuple[Floats, Bools, float]:
-    """(0, r, t) ≡ (0, −r, −t): both take the mean of what was measured of them."""
-    values = values.copy()
-    averaged = np.zeros(values.shape[:3], bool)
-    incidence, receiving, tilt = axes_deg
-    j, j2 = _mirrored(receiving)
-    k, k2 = _mirrored(tilt)
-    if abs(incidence[0]) > 1e-6 or not len(j) or not len(k):
-        return values, averaged, float("nan")
-    here = values[0][np.ix_(j, k)]
-    there = values[0][np.ix_(j2, k2)]
-    both = ~np.isnan(here) & ~np.isnan(there)
-    mean = np.where(both, (here + there) / 2, np.where(np.isnan(here), there, here))
-    values[0][np.ix_(j, k)] = mean
-    averaged[0][np.ix_(j, k)] = (both & (here != there)).any(axis=-1)
-    size = np.mean(abs(mean[both])) if both.any() else 0.0
-    asymmetry = float(np.mean(abs(here - there)[both]) / size) if size > 0 else float("nan")
-    return values, averaged, asymmetry
-
-
-def _mirrored(axis: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of the nodes whose negative is a node too, and of those negatives."""
-    distance = abs(axis[:, None] + axis[None, :])
-    partner = distance.argmin(axis=1)
-    paired = np.flatnonzero(distance.min(axis=1) < 1e-6)
-    return paired, partner[paired]
-
-
-def _continue_smoothly(
-    axes_deg: tuple[Floats, Floats, Floats], values: Floats, unknown: Bools
-) -> Floats:
+def _continue_smoothly(grid: AngleGrid, values: Floats, unknown: Bools) -> Floats:
     """Solve for the `unknown` cells; cells that are NaN and not unknown take no part."""
     if not unknown.any():
         return values
@@ -118,7 +85,7 @@ def _continue_smoothly(
             f"{_MAX_UNKNOWN} can be filled; measure more of them or use a coarser grid"
         )
     missing = np.isnan(values).any(axis=-1) & ~unknown
-    matrix = roughness(axes_deg, missing)
+    matrix = roughness(grid, missing)
     flat = values.reshape(missing.size, -1).copy()
     to_find = np.flatnonzero(unknown)
     given = np.flatnonzero(~(unknown | missing))
@@ -131,9 +98,9 @@ def _continue_smoothly(
     return flat.reshape(values.shape)
 
 
-def roughness(axes_deg: tuple[Floats, Floats, Floats], missing: Bools) -> sparse.csc_matrix:
+def roughness(grid: AngleGrid, missing: Bools) -> sparse.csc_matrix:
     """`[D, cells]`: the weighted second differences that touch no missing cell."""
-    triples, weights = _second_differences(axes_deg, missing.shape)
+    triples, weights = _second_differences(grid, missing.shape)
     whole = ~missing.ravel()[triples].any(axis=1)
     triples, weights = triples[whole], weights[whole]
     rows = np.repeat(np.arange(len(triples)), 3)
@@ -141,20 +108,16 @@ def roughness(axes_deg: tuple[Floats, Floats, Floats], missing: Bools) -> sparse
     return sparse.csc_matrix((data, (rows, triples.ravel())), (len(triples), missing.size))
 
 
-def _second_differences(
-    axes_deg: tuple[Floats, Floats, Floats], shape: tuple[int, ...]
-) -> tuple[NDArray[np.intp], Floats]:
+def _second_differences(grid: AngleGrid, shape: tuple[int, ...]) -> tuple[Ints, Floats]:
     """`[D, 3]` flat cell indices (before, at, after) and `[D]` weights of all differences."""
     index = np.arange(int(np.prod(shape))).reshape(shape)
-    incidence, receiving, tilt = axes_deg
-    steps = np.array([axis[1] - axis[0] for axis in axes_deg])
     groups = [
         (RECEIVING_WEIGHT, index[:, :-2], index[:, 1:-1], index[:, 2:]),
         (TILT_WEIGHT, index[:, :, :-2], index[:, :, 1:-1], index[:, :, 2:]),
     ]
-    if abs(steps[0] - steps[1]) < 1e-6:  # the ridge runs through nodes
+    if abs(grid.step[0] - grid.step[1]) < SAME_DEG:  # the ridge runs through nodes
         groups.append((RIDGE_WEIGHT, index[:-2, :-2], index[1:-1, 1:-1], index[2:, 2:]))
-        groups.append((RIDGE_WEIGHT, *_across_perpendicular(index, incidence, receiving, tilt)))
+        groups.append((RIDGE_WEIGHT, *_across_perpendicular(index, grid)))
     else:
         groups.append((RIDGE_WEIGHT, index[:-2], index[1:-1], index[2:]))
     triples = [np.stack([cell.ravel() for cell in cells], axis=1) for _, *cells in groups]
@@ -162,15 +125,14 @@ def _second_differences(
     return np.concatenate(triples), np.concatenate(weights)
 
 
-def _across_perpendicular(
-    index: NDArray[np.intp], incidence: Floats, receiving: Floats, tilt: Floats
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+def _across_perpendicular(index: Ints, grid: AngleGrid) -> tuple[Ints, Ints, Ints]:
     """The ridge difference at a = 0, whose cell before is the equivalent (a1, −(r − a1), −t)."""
     empty = np.zeros(0, np.intp)
-    if abs(incidence[0]) > 1e-6:
+    incidence, receiving, tilt = grid
+    if abs(incidence[0]) > SAME_DEG:
         return empty, empty, empty
-    j, j2 = _mirrored(receiving)
-    k, k2 = _mirrored(tilt)
+    j, j2 = mirrored_nodes(receiving)
+    k, k2 = mirrored_nodes(tilt)
     inner = (j > 0) & (j < len(receiving) - 1) & (j2 < len(receiving) - 1)
     j, j2 = j[inner], j2[inner]
     # −(r_j − step) is one node above −r_j, which is node j2

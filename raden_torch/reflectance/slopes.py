@@ -9,11 +9,11 @@ within 2 % of the true one's (a central difference's is 12 to 27 % less).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
-from raden_torch.measurement.readings import BrdfMeasurement, Floats, ReadingGrid
+from raden_torch.arrays import Bools, Floats, Ints
+from raden_torch.reflectance.grid import AngleGrid
 
 _NEIGHBOURS = 13  # the reading, and three times the four numbers of a plane
 _REACH_DEG = 15.0  # of a neighbour that still says something
@@ -22,49 +22,42 @@ _ROWS_AT_ONCE = 20_000
 _MIN_SPLINE = 4  # points
 
 
-def slopes_per_deg(measurement: BrdfMeasurement) -> Floats:
+def slopes_per_deg(angles_deg: Floats, values: Floats, valid: Bools | None = None) -> Floats:
     """`[M, C, 3]`: ∂R/∂incidence, ∂R/∂receiving, ∂R/∂tilt in units of the values per degree.
 
     0 where there is nothing to compare with: in rows that are not valid, along an axis of one
     value, for readings without neighbours. The noise of the readings is in it.
+
+    Args:
+        angles_deg: `[M, 3]`.
+        values: `[M, C]`.
+        valid: `[M]`; every row where None.
     """
-    slopes = np.zeros((*measurement.values.shape, 3))
-    valid = np.flatnonzero(measurement.valid)
-    if not len(valid):
+    slopes = np.zeros((*values.shape, 3))
+    rows = np.arange(len(values)) if valid is None else np.flatnonzero(valid)
+    if not len(rows):
         return slopes
-    m = measurement.select(valid)
-    positive = m.values.min(axis=0) > 0
-    shape = np.where(positive, np.log(np.where(positive, m.values, 1.0)), m.values)
-    lines = _nodes(m)
-    found = _of_scattered(m, shape) if lines is None else _of_grid(m, shape, lines)
-    slopes[valid] = np.where(positive, m.values, 1.0)[:, :, None] * found
+    angles, known = angles_deg[rows], values[rows]
+    positive = known.min(axis=0) > 0
+    shape = np.where(positive, np.log(np.where(positive, known, 1.0)), known)
+    grid, index = AngleGrid.through(angles)
+    cells = np.prod(grid.shape, dtype=np.float64)
+    on_grid = cells <= len(rows) / _FILLED and len(np.unique(index, axis=0)) == len(rows)
+    found = _of_grid(grid, index, shape) if on_grid else _of_scattered(angles, shape)
+    slopes[rows] = np.where(positive, known, 1.0)[:, :, None] * found
     return slopes
 
 
-def _nodes(m: BrdfMeasurement) -> ReadingGrid | None:
-    """The grid, where the readings fill a good part of one and none is there twice."""
-    if not m.is_grid:
-        return None
-    grid = m.grid()
-    filled = int(grid.measured.sum())
-    return grid if filled == len(m) and filled >= _FILLED * grid.measured.size else None
-
-
-def _of_grid(m: BrdfMeasurement, shape: Floats, grid: ReadingGrid) -> Floats:
+def _of_grid(grid: AngleGrid, index: Ints, shape: Floats) -> Floats:
     """`[M, C, 3]` of `shape` along each axis."""
-    index = tuple(
-        np.searchsorted(axis, np.round(angle, 6))
-        for axis, angle in zip(
-            grid.axes_deg, (m.incidence_deg, m.receiving_deg, m.tilt_deg), strict=True
-        )
-    )
-    block = np.full(grid.values.shape, np.nan)
-    block[index] = shape
+    block = np.full((*grid.shape, shape.shape[1]), np.nan)
+    at = tuple(index.T)
+    block[at] = shape
     along = [
         np.moveaxis(_of_lines(axis, np.moveaxis(block, dim, 0)), 0, dim)
-        for dim, axis in enumerate(grid.axes_deg)
+        for dim, axis in enumerate(grid)
     ]
-    return np.stack([found[index] for found in along], axis=-1)
+    return np.stack([found[at] for found in along], axis=-1)
 
 
 def _of_lines(x: Floats, lines: Floats) -> Floats:
@@ -88,20 +81,19 @@ def _of_line(x: Floats, y: Floats) -> Floats:
     return np.asarray(CubicSpline(x, y, axis=0)(x, 1))
 
 
-def _of_scattered(m: BrdfMeasurement, shape: Floats) -> Floats:
+def _of_scattered(angles: Floats, shape: Floats) -> Floats:
     """`[M, C, 3]`: the plane through each reading's nearest ones, by least squares."""
-    angles = np.stack([m.incidence_deg, m.receiving_deg, m.tilt_deg], axis=1)
-    count = min(_NEIGHBOURS, len(m))
+    count = min(_NEIGHBOURS, len(angles))
     tree = KDTree(angles)
     found = np.zeros((*shape.shape, 3))
-    for start in range(0, len(m), _ROWS_AT_ONCE):
+    for start in range(0, len(angles), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
         away, near = tree.query(angles[rows], k=np.arange(1, count + 1))
         found[rows] = _planes(angles[near] - angles[rows, None], shape[near], away < _REACH_DEG)
     return found
 
 
-def _planes(offsets: Floats, shape: Floats, counts: NDArray[np.bool_]) -> Floats:
+def _planes(offsets: Floats, shape: Floats, counts: Bools) -> Floats:
     """`[N, C, 3]` gradients of planes through `[N, K, C]` at `[N, K, 3]`, of those that count."""
     weight = counts.astype(float)[..., None]
     design = np.concatenate([np.ones_like(weight), offsets], axis=-1) * weight

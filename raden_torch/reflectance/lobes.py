@@ -16,11 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
-from raden_torch.brdf.interpolation.kernels import Floats
+from raden_torch.arrays import Floats, Ints
+from raden_torch.reflectance.grid import AngleGrid
 
 SHAPE_KNOTS_DEG = np.array([0.0, 35.0, 55.0, 70.0])
 MOST_LOBES = 3
@@ -35,8 +35,6 @@ _HUBER, _HOLD = 0.03, 0.05  # outliers of the logarithm; the strength of all pri
 _PROFILES = (0.5, 1.7)  # values of b to start from
 _VALLEY = 0.1  # of the logarithm: two maxima with less between them are one lobe
 _PROMINENT = 0.35  # of the range: how high a maximum must be
-
-Axes = tuple[Floats, Floats, Floats]
 
 
 @dataclass(frozen=True)
@@ -66,22 +64,22 @@ class Lobes:
         return _log_sum(self.amplitude, self.shape, self.centre_deg, self.base, s, u, tilt, *hats)
 
 
-def fit_lobes(axes_deg: Axes, logs: Floats) -> Lobes | None:
+def fit_lobes(grid: AngleGrid, logs: Floats) -> Lobes | None:
     """Fit lobes to the logarithm of a grid.
 
     Args:
-        axes_deg: incidence, receiving, tilt, uniform, with equal steps along the first two.
+        grid: evenly spaced, with equal steps of incidence and receiving.
         logs: `[A, R, T]`.
 
     Returns:
         None where no lobe describes the grid.
     """
-    centres = _find_centres(axes_deg, logs)
+    centres = _find_centres(grid, logs)
     # many small solves: BLAS threads would only wait for each other
     with threadpool_limits(limits=1, user_api="blas"):
-        fits = [_Problem(axes_deg, logs, centres, prior).solve() for prior in _PRIORS]
+        fits = [_Problem(grid, logs, centres, prior).solve() for prior in _PRIORS]
     best = min(fit.misfit for fit in fits)
-    step = axes_deg[0][1] - axes_deg[0][0]
+    step = float(grid.step[0])
     believable = [
         fit
         for i, fit in enumerate(fits)
@@ -102,16 +100,16 @@ class _Problem:
     """The least-squares problem of one prior."""
 
     def __init__(
-        self, axes_deg: Axes, logs: Floats, centres: Floats, prior: tuple[float, float]
+        self, grid: AngleGrid, logs: Floats, centres: Floats, prior: tuple[float, float]
     ) -> None:
-        self.axes, self.centres = axes_deg, centres
-        a, r, t = np.meshgrid(*axes_deg, indexing="ij")
-        s, u, step = (a + r) / 2, (r - a) / 2, axes_deg[0][1] - axes_deg[0][0]
+        self.axes, self.centres = grid, centres
+        a, r, t = np.moveaxis(grid.nodes_deg(), -1, 0)
+        s, u, step = (a + r) / 2, (r - a) / 2, float(grid.step[0])
         distance = np.min([np.hypot(u - c[0], t - c[1]) for c in centres], axis=0)
         near = (distance <= _REACH * step / 5) & (s >= 0)
         self.s, self.u, self.t, self.goal = s[near], u[near], t[near], logs[near]
         self.weight = 1 / (1 + (distance[near] / (_WINDOW * step / 5)) ** 2)
-        self.hats = _hats(self.s, axes_deg[0]), _hats(self.s, SHAPE_KNOTS_DEG)
+        self.hats = _hats(self.s, grid.incidence_deg), _hats(self.s, SHAPE_KNOTS_DEG)
         self.low = float(np.quantile(logs, 0.1))
         self.step = step
         m = len(SHAPE_KNOTS_DEG)
@@ -218,10 +216,10 @@ def _hats(x: Floats, knots: Floats) -> Floats:
     return hats
 
 
-def _find_centres(axes_deg: Axes, logs: Floats) -> Floats:
+def _find_centres(grid: AngleGrid, logs: Floats) -> Floats:
     """`[K, 2]`: (u, t) of the maxima of the grid averaged along the ridge."""
-    incidence, receiving, tilt = axes_deg
-    step = incidence[1] - incidence[0]
+    incidence, receiving, tilt = grid
+    step = grid.step[0]
     reach = int(50 // step)
     shift = np.rint((incidence[:, None] - receiving[0]) / step).astype(int)
     j = shift + np.arange(-reach, reach + 1)  # [A, 2·reach + 1], receiving at constant r − a
@@ -253,7 +251,7 @@ def _maxima(ridge: Floats) -> list[tuple[int, int]]:
     low, top = np.quantile(ridge, 0.1), ridge.max()
     peak = (ridge >= maximum_filter(ridge, 3)) & (ridge > low + _PROMINENT * (top - low))
     peak[[0, -1]] = peak[:, [0, -1]] = False
-    cells: NDArray[np.intp] = np.argwhere(peak)
+    cells: Ints = np.argwhere(peak)
     order = np.argsort(-ridge[peak], kind="stable")
     return [(int(j), int(k)) for j, k in cells[order]]
 

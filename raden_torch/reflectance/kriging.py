@@ -14,10 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
+from raden_torch.arrays import Floats, Ints
 
 NEIGHBOURS = 96
 _UNIT_DEG = np.array([10.0, 5 / 1.4, 5.0])  # of s, u and t: one unit of distance
@@ -152,14 +150,6 @@ class _Part:
         known = np.einsum("nk,nk->n", self.covariance, known)
         missing = 1 - np.einsum("nk,nk->n", self.covariance, self.weight[self.block])
         return np.asarray(1 - known + missing**2 / self.weight[self.block].sum(axis=1))
-
-
-def canonical(angles_deg: Floats) -> Floats:
-    """`[M, 3]`: of the equivalents (0, r, t) ≡ (0, −r, −t), the one that is read first: r > 0, or
-    r = 0 and t ≥ 0. Other angles are unchanged."""
-    a, r, t = np.asarray(angles_deg, np.float64).T
-    turned = (abs(a) < 1e-6) & ((r < -1e-6) | ((abs(r) <= 1e-6) & (t < 0)))
-    return np.where(turned[:, None], angles_deg * np.array([1.0, -1.0, -1.0]) + 0.0, angles_deg)
 
 
 def ridge_coordinates(angles_deg: Floats) -> Floats:

@@ -11,9 +11,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from raden_torch.measurement.readings import BrdfMeasurement
+from raden_torch.arrays import Bools, Floats
 
 REGIONS = ("ridge", "body", "grazing", "retro")
 
@@ -21,9 +20,9 @@ _GRAZING_COSINE = 0.5  # of 60 degrees
 _NEAR_DEG = 10.0
 
 
-def regions(measurement: BrdfMeasurement) -> dict[str, NDArray[np.bool_]]:
-    """`[M]` masks by name, in the order of `REGIONS`; every reading is in exactly one."""
-    a, r, t = measurement.incidence_deg, measurement.receiving_deg, measurement.tilt_deg
+def regions(angles_deg: Floats) -> dict[str, Bools]:
+    """`[M, 3]` angles → `[M]` masks by name, in the order of `REGIONS`; each is in exactly one."""
+    a, r, t = angles_deg.T
     highest = np.maximum(abs(a), abs(r))
     cosine = np.cos(np.radians(highest)) * np.cos(np.radians(t))
     grazing = cosine <= _GRAZING_COSINE + 1e-12

@@ -11,22 +11,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from raden_torch.brdf.interpolation.kernels import Floats
-from raden_torch.brdf.interpolation.schemes import Reconstruction, is_mirrored
+from raden_torch.arrays import Floats, Ints
 from raden_torch.brdf.table import Pieces
+from raden_torch.reflectance.interpolation import Interpolant
+from raden_torch.reflectance.log_readings import LUMINANCE
 
 NODES = 110_000
 """How many nodes a baked table may have: 1.3 MB in float32, near the size of a core's cache."""
 
 _CUTS = np.array([1, 2, 4, 8, 16])
 _SAMPLES = 20_000
-_LUMINANCE = 1
 _SCALE = 0.005  # of both errors, RMS over the 99.9 % quantile and mean |Δ log(1+Y)|
 _MARGIN = 2.0  # measured steps beyond the box along receiving that a cell at its edge may touch
-
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -38,11 +35,11 @@ class Baked:
 
 
 def bake(
-    function: Reconstruction,
+    function: Interpolant,
     nodes: int = NODES,
     seed: int = 0,
     *,
-    like: Reconstruction | None = None,
+    like: Interpolant | None = None,
 ) -> Baked:
     """Cut the cells and write the function into the nodes.
 
@@ -53,18 +50,17 @@ def bake(
     """
     pieces = allocate(like or function, nodes, seed)
     axes = [_nodes(cuts) for cuts in pieces]
-    step = np.array([axis[1] - axis[0] for axis in function.axes_deg])
-    first = np.array([axis[0] for axis in function.axes_deg])
+    step, first = function.grid.step, function.grid.low
     cells = len(pieces[0])
     x, across, z = np.meshgrid(*axes, indexing="ij")
     # in measured cells: receiving = incidence + (r − a), whose axis begins `cells` below
     angles = first + step * np.stack([x, x + across - cells, z], axis=-1)
-    receiving = function.axes_deg[1]
+    receiving = function.grid.receiving_deg
     margin = _MARGIN * step[1] + 1e-9
     used = (angles[..., 1] >= receiving[0] - margin) & (angles[..., 1] <= receiving[-1] + margin)
     values = np.zeros((*used.shape, function.cap.shape[-1]))
     values[used] = function(angles[used])
-    if is_mirrored(function.axes_deg):
+    if function.grid.is_mirrored:
         _average_equivalents(values, len(pieces[0]), pieces[1])
     return Baked(values, pieces)
 
@@ -75,10 +71,10 @@ def _average_equivalents(values: Floats, cells: int, across: tuple[int, ...]) ->
     plane[:] = (plane + plane[::-1, ::-1]) / 2
 
 
-def allocate(function: Reconstruction, nodes: int, seed: int) -> Pieces:
+def allocate(function: Interpolant, nodes: int, seed: int) -> Pieces:
     """Choose the pieces of every cell, greedily; a cell and its mirror image are cut alike."""
     errors = _errors_of_cuts(function, seed)
-    mirror = _mirror_cells([len(error) for error in errors], is_mirrored(function.axes_deg))
+    mirror = _mirror_cells([len(error) for error in errors], function.grid.is_mirrored)
     errors = [(error + error[m]) / 2 for error, m in zip(errors, mirror, strict=True)]
     level = [np.zeros(len(error), int) for error in errors]
     total = np.sum([error[:, 0].sum(axis=0) for error in errors], axis=0)
@@ -130,24 +126,22 @@ def _cost(moments: Floats) -> Floats:
     return np.asarray(rms + log) / _SCALE
 
 
-def _errors_of_cuts(function: Reconstruction, seed: int) -> list[Floats]:
+def _errors_of_cuts(function: Interpolant, seed: int) -> list[Floats]:
     """Per axis `[cells, cuts, 2]`: what linear reading of n pieces costs in that cell.
 
     The two numbers are sums over all sample points in the cell, over their whole number: of the
     squared error over the 99.9 % quantile, and of |Δ log(1+Y)|.
     """
-    axes = function.axes_deg
-    step = np.array([axis[1] - axis[0] for axis in axes])
-    low, high = np.array([a[0] for a in axes]), np.array([a[-1] for a in axes])
-    cells = [len(axis) - 1 for axis in axes]
-    points = np.random.default_rng(seed).uniform(low, high, (_SAMPLES, 3))
+    step, low = function.grid.step, function.grid.low
+    cells = [len(axis) - 1 for axis in function.grid]
+    points = np.random.default_rng(seed).uniform(low, function.grid.high, (_SAMPLES, 3))
 
     def luminance(at: Floats) -> Floats:
-        return function(at, slice(_LUMINANCE, _LUMINANCE + 1))[:, 0]
+        return function(at, slice(LUMINANCE, LUMINANCE + 1))[:, 0]
 
     truth = luminance(points)
     level = max(float(np.quantile(truth, 0.999)), 1e-9)
-    node = (points - low) / step
+    node = function.grid.positions(points)
     position = np.stack([node[:, 0], node[:, 1] - node[:, 0] + cells[0], node[:, 2]], axis=1)
     found = []
     for axis, count in enumerate((cells[0], cells[0] + cells[1], cells[2])):

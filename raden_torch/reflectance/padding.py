@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from raden_torch.brdf.interpolation.kernels import Floats
+from raden_torch.arrays import Floats
 
 PAD = 3
-"""Nodes added on every side: a six-value kernel needs two, following the ridge one more."""
+"""Nodes added on every side: a six-value kernel needs two, and receiving may lie one outside."""
 
 
 def continued(values: Floats, *, mirrored: bool) -> Floats:
