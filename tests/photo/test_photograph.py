@@ -221,7 +221,7 @@ def test_missing_and_strange_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file"):
         read_linear(tmp_path / "none.png")
     (tmp_path / "text.jpg").write_text("not a picture")
-    with pytest.raises(InputError, match="not an image that OpenCV reads"):
+    with pytest.raises(InputError, match="not an image that is read here"):
         read_linear(tmp_path / "text.jpg")
 
 
