@@ -37,7 +37,7 @@ from raden_torch.images.pixels import (
 Green = Literal["opengl", "directx"]
 
 _FLOAT_SUFFIXES = (".exr", ".hdr", ".tif", ".tiff")
-_WHOLE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+_WHOLE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")
 _WITHOUT_ALPHA = (".jpg", ".jpeg", ".hdr")
 _BEYOND_SRGB = 1e-3
 """Of linear light: colours with less than minus this are told."""
@@ -113,7 +113,8 @@ def write_photograph(
     *,
     coded: Literal["srgb", "linear"] = "srgb",
 ) -> None:
-    """Write a photograph as it was stored: its bit depth, its alpha, sRGB for whole numbers.
+    """Write a photograph as it was stored: its bit depth, its alpha, sRGB for whole numbers; 8 bits
+    into a JPEG, linear floats into an EXR or HDR.
 
     No profile is written: whole numbers without one are sRGB, floats linear sRGB. An EXR's colours
     are multiplied by alpha, a PNG's and a TIFF's are not.
@@ -141,7 +142,7 @@ def write_photograph(
     if suffix == ".exr":
         _write_exr(rgb, alpha, path)
         return
-    levels = 255 if suffix in (".jpg", ".jpeg") else photo.levels
+    levels = {".jpg": 255, ".jpeg": 255, ".hdr": None}.get(suffix, photo.levels)
     if levels is None:
         rgb = rgb.clamp(min=0) if suffix == ".hdr" else rgb
     else:
@@ -197,8 +198,8 @@ def _warn_of_gamut(path: str | os.PathLike[str], rgb: NDArray[np.float32]) -> No
     outside = float((rgb.min(axis=2) < -_BEYOND_SRGB).mean())
     if outside > 0:
         warnings.warn(
-            f"{path}: {100 * outside:.2g} % of its pixels are outside sRGB, in which it will be "
-            "written (clipped); a floating-point file would keep them",
+            f"{path}: {100 * outside:.2g} % of its pixels are outside sRGB: 8- or 16-bit pictures "
+            "clip them, an EXR keeps them",
             stacklevel=3,
         )
 

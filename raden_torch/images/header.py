@@ -22,7 +22,6 @@ _KNOWN = "a PNG, JPEG, TIFF, BMP, GIF, WebP, PPM or Radiance HDR image"
 _GREY_OR_RGB = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr", "I;16", "I", "F")
 _PHOTOMETRIC = {5: "CMYK", 8: "Lab", 9: "Lab", 10: "Lab", 32803: "CFA", 34892: "LinearRaw"}
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_MAX_FRAMES = 1000
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ def _by_pillow(path: str | os.PathLike[str], start: bytes) -> Header:
             exif = image.getexif()
             index = exif.get_ifd(0xA005).get(1)
             tags = dict(exif) | dict(exif.get_ifd(0x8769))
-            depth = _ppm_levels(image.tile) if name == "PPM" else 255
+            depth = _ppm_levels(image) if name == "PPM" else 255
     except Image.DecompressionBombError:
         raise InputError(f"{path}: too many pixels; at most {MAX_PIXELS} are read") from None
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, struct.error) as error:
@@ -134,10 +133,11 @@ def _by_pillow(path: str | os.PathLike[str], start: bytes) -> Header:
     )
 
 
-def _ppm_levels(tile: list[Any]) -> int:
-    """The largest value; 255 where Pillow scales nothing."""
-    args = tile[0][3]
-    return int(args[1]) if isinstance(args, tuple) and isinstance(args[1], int) else 255
+def _ppm_levels(image: Any) -> int:
+    """The largest value, as Pillow tells its decoder; smaller ones than 255 are scaled to it."""
+    args = image.tile[0][3]
+    levels = 65535 if image.mode == "I" else 255
+    return int(args[1]) if isinstance(args, tuple) and isinstance(args[1], int) else levels
 
 
 def _colour_tags(
@@ -223,10 +223,14 @@ def _directories(path: str | os.PathLike[str], start: bytes) -> list[dict[int, A
     try:
         directory = ImageFileDirectory_v2(start[: 16 if is_big else 8])
         with open(path, "rb") as file:
-            while directory.next and len(found) < _MAX_FRAMES:
-                file.seek(directory.next)
+            seen = {0}
+            while (place := directory.next) not in seen:
+                seen.add(place)
+                file.seek(place)
                 directory.load(file)
                 found.append(dict(directory))
+            if place:  # a ring, or cut off
+                raise ValueError
             if found and 34665 in found[0]:
                 inner = ImageFileDirectory_v2(start[: 16 if is_big else 8])
                 file.seek(found[0][34665])

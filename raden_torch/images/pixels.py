@@ -105,7 +105,9 @@ def _by_pillow(path: str | os.PathLike[str], header: Header) -> NDArray[Any]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # large images, damaged tags
-            with Image.open(path) as image:
+            # by name, Pillow would map an uncompressed TIFF into memory and scramble a turned one
+            with open(path, "rb") as file, Image.open(file) as image:
+                image.load()
                 if header.kind == "f":
                     return np.array(image, np.float32)
                 is_grey = image.mode in ("1", "L", "LA")
