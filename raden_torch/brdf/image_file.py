@@ -168,13 +168,16 @@ def _exr_photograph(path: str | os.PathLike[str]) -> Photograph:
 
     colour = read_colour(path)
     file = ExrRows(path)
+    grey = [(part, name) for _, part, name in file.keys if name == "Y"]
+    if colour is None and len(grey) == 1:
+        colour = torch.nan_to_num(stacked(file, grey * 3, 0, file.size[0]), posinf=0, neginf=0)
     if colour is None:
         names = ", ".join(key for key, _, _ in file.keys)
         raise InputError(f"{path}: no R, G, B; it has {names}")
     matrix = exr_matrix(path)
     if matrix is not None:
         colour = torch.einsum("ij,bjhw->bihw", torch.from_numpy(matrix).float(), colour)
-    part, name = (Layers.of(file, None).vector("colour") or (("", "R"),))[0]
+    part, name = (Layers.of(file, None).vector("colour") or grey)[0]
     key = (part, name[:-1] + ("A" if name[-1].isupper() else "a"))
     if key not in {(part, channel) for _, part, channel in file.keys}:
         return Photograph(colour, None)

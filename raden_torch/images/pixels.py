@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import struct
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,12 +126,26 @@ def _by_opencv(path: str | os.PathLike[str]) -> NDArray[Any]:
     import cv2
 
     try:
-        pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
+        with _quiet():
+            pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pixels = None
     if pixels is None:
         raise InputError(f"{path}: damaged, or compressed in a way that OpenCV does not know")
     return pixels if pixels.ndim == 2 else pixels[..., [2, 1, 0, 3][: pixels.shape[2]]]
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV tells its errors on stderr, too."""
+    from cv2.utils import logging
+
+    level = logging.getLogLevel()
+    logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(level)
 
 
 def write_pixels(
@@ -150,7 +166,8 @@ def write_pixels(
     if alpha is not None:
         bgr = np.dstack([*(bgr,) * (1 if bgr.ndim == 3 else 3), alpha])
     try:
-        ok, data = cv2.imencode(suffix, bgr)
+        with _quiet():
+            ok, data = cv2.imencode(suffix, bgr)
     except cv2.error:
         ok = False
     if not ok:

@@ -189,6 +189,16 @@ def test_alpha_of_a_layer(tmp_path: Path) -> None:
     np.testing.assert_array_equal(photo.alpha[0, 0].numpy(), maps["View.Combined.A"])
 
 
+@pytest.mark.parametrize("has_alpha", [False, True])
+def test_a_grey_exr(tmp_path: Path, has_alpha: bool) -> None:
+    maps = {c: np.random.default_rng(0).random((H, W)).astype(np.float32) + 0.1 for c in "YA"}
+    maps["A"] = np.minimum(maps["A"], 1)
+    write_channels(tmp_path / "a.exr", maps if has_alpha else {"Y": maps["Y"]})
+    photo = read_photograph(tmp_path / "a.exr")
+    expected = maps["Y"] / maps["A"] if has_alpha else maps["Y"]
+    np.testing.assert_allclose(one(photo.linear), np.dstack([expected] * 3), rtol=1e-6)
+
+
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_float_tiffs(tmp_path: Path, channels: int) -> None:
     """Grey and RGBA too; nothing that is not finite goes on."""

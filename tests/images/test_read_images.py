@@ -432,7 +432,9 @@ def test_masks_in_exr(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.png", "b.png", "a.tif", "b.tif", "a.jpg", "a.gif", "a.bmp"])
-def test_damaged_files_are_refused_in_a_line(tmp_path: Path, name: str) -> None:
+def test_damaged_files_are_refused_in_a_line(
+    tmp_path: Path, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     """Truncations and changed bytes. Expected: an image or one line, and nothing else."""
     rng = np.random.default_rng(2)
     path = tmp_path / name
@@ -452,3 +454,16 @@ def test_damaged_files_are_refused_in_a_line(tmp_path: Path, name: str) -> None:
             read_image(put(path, content))
         except InputError as error:
             assert "\n" not in str(error)  # noqa: PT017
+    assert "OpenCV" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "bmp", "ppm", "hdr"])
+@pytest.mark.parametrize("deep", [False, True])
+def test_a_file_cut_short_is_no_image(tmp_path: Path, suffix: str, deep: bool) -> None:
+    stored = np.random.default_rng(0).integers(0, 65536, (60, 50, 3)).astype(np.uint16)
+    stored = stored if deep and suffix in ("png", "tif", "ppm") else (stored >> 8).astype(np.uint8)
+    path = tmp_path / f"a.{suffix}"
+    write_pixels(stored, path)
+    whole = path.read_bytes()
+    for share in (0.5, 0.95):
+        refused(put(path, whole[: int(share * len(whole))]))
