@@ -21,6 +21,7 @@ from raden_torch.images.colour_space import (
 )
 from raden_torch.images.exr import write_arrays
 from raden_torch.images.header import ColourTags
+from raden_torch.images.pixels import read_image
 
 # published colorants under D50 (Apple's Display P3; Adobe RGB 1998; ROMM RGB), red, green, blue
 P3 = [(0.51512, 0.2412, -0.00105), (0.29198, 0.69225, 0.04189), (0.1571, 0.06657, 0.78407)]
@@ -237,3 +238,20 @@ def test_an_exrs_chromaticities(tmp_path: Path) -> None:
     write_arrays(path, ones, {"chromaticities": (0.3,) * 8}, path)
     with pytest.raises(InputError, match=r"a\.exr: expected x, y of three primaries"):
         exr_matrix(path)
+
+
+@pytest.mark.parametrize("index", ["R98", "R03"])
+def test_what_a_camera_says_in_exif(tmp_path: Path, index: str) -> None:
+    """DCF: R98 stands for sRGB, R03 for Adobe RGB."""
+    exif = Image.Exif()
+    exif.get_ifd(0x8769)[0xA005] = {1: index}
+    Image.new("RGB", (8, 8), (90, 140, 60)).save(tmp_path / "a.jpg", exif=exif)
+    assert read_image(tmp_path / "a.jpg").header.colour.adobe == (index == "R03")
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "jpg", "webp"])
+def test_a_profile_is_found_in_every_format(tmp_path: Path, suffix: str) -> None:
+    profile = rgb_icc(P3, SRGB_PARA)
+    path = tmp_path / f"a.{suffix}"
+    Image.new("RGB", (8, 8), (90, 140, 60)).save(path, icc_profile=profile)
+    assert read_image(path).header.colour == ColourTags(icc=profile)

@@ -188,6 +188,12 @@ def test_tiffs_that_would_be_spoiled_are_refused(
     assert words in refused(put(tmp_path / "a.tif", content))
 
 
+def test_a_deep_tiffs_profile_is_found(tmp_path: Path) -> None:
+    content = tiff(values("u2"), _34675=(1, list(b"a profile")))
+    image = read_image(put(tmp_path / "a.tif", content))
+    assert image.header.colour.icc == b"a profile"
+
+
 def test_a_preview_beside_the_image_does_not_count(tmp_path: Path) -> None:
     picture, preview = Image.fromarray(values("u1")), Image.new("RGB", (2, 2))
     preview.encoderinfo = {"tiffinfo": {254: 1}}
