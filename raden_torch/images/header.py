@@ -86,7 +86,12 @@ def read_header(path: str | os.PathLike[str]) -> Header:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # damaged EXIF, large images
         if start[:4] in _TIFF_STARTS:
-            return _tiff(path, start)
+            try:
+                return _tiff(path, start)
+            except (ValueError, TypeError, IndexError) as error:  # numbers that are texts
+                if isinstance(error, InputError):
+                    raise
+                raise _damaged_tiff(path) from None
         if start.startswith(b"#?"):
             return _radiance(path, start)
         return _by_pillow(path, start)
@@ -198,7 +203,7 @@ def _tiff(path: str | os.PathLike[str], start: bytes) -> Header:
     if not is_known or (photometric == 0 and kind != "u"):
         what = {"u": "unsigned", "i": "signed", "f": "float"}.get(kind, "unknown")
         raise InputError(f"{path}: expected 8 or 16 bits or 32-bit floats, got {what} {bits} bits")
-    meaning = _first(extra) if extra else 2
+    meaning, profile = _first(extra) if extra else 2, tags.get(34675)
     alpha: Alpha = "none"
     if there == 1:
         alpha = "associated" if meaning == 1 else "straight" if meaning == 2 else "none"
@@ -209,7 +214,7 @@ def _tiff(path: str | os.PathLike[str], start: bytes) -> Header:
         alpha,
         _orientation(tags),
         photometric == 0,
-        ColourTags(icc=tags.get(34675) or None),
+        ColourTags(icc=profile if isinstance(profile, bytes) and profile else None),
         tags,
     )
 
@@ -239,8 +244,12 @@ def _directories(path: str | os.PathLike[str], start: bytes) -> list[dict[int, A
     except (OSError, SyntaxError, ValueError, TypeError, KeyError, struct.error):
         found = []
     if not found:
-        raise InputError(f"{path}: a damaged TIFF; expected a whole one")
+        raise _damaged_tiff(path)
     return found
+
+
+def _damaged_tiff(path: str | os.PathLike[str]) -> InputError:
+    return InputError(f"{path}: a damaged TIFF; expected a whole one")
 
 
 def _radiance(path: str | os.PathLike[str], start: bytes) -> Header:

@@ -72,7 +72,9 @@ def tiff(
         after = len(out) + 2 + 12 * len(entries) + 4
         body, blob = b"", b""
         for tag, (kind, numbers) in sorted(entries.items()):
-            raw = struct.pack(f"<{len(numbers)}{ {1: 'B', 3: 'H', 4: 'I'}[kind] }", *numbers)
+            raw = struct.pack(
+                f"<{len(numbers)}{ {1: 'B', 2: 'B', 3: 'H', 4: 'I'}[kind] }", *numbers
+            )
             if len(raw) > 4:
                 raw, blob = (
                     struct.pack("<I", after + len(blob)),
@@ -178,6 +180,7 @@ def test_tiffs_that_are_grey_with_alpha_or_in_planes(tmp_path: Path) -> None:
         (tiff(values("u2"), pages=2), "expected one image, got 2 frames"),
         (tiff(values("u2"))[:-40], "damaged"),
         (tiff(values("u2"))[:40], "damaged"),
+        (tiff(values("u2"), _277=(2, [0x58])), "damaged"),
         (tiff(values("u2"), _257=(4, [2**30])), "pixels in all"),
         (tiff(values("u2", 1), _259=(3, [4711])), "damaged"),
     ],
