@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -16,6 +17,8 @@ from raden_torch.brdf.display import auto_exposure_ev, to_display, write_picture
 from raden_torch.brdf.gbuffer_file import GBufferFile, read_gbuffer, write_image
 from raden_torch.brdf.image_file import (
     Green,
+    Photograph,
+    check_photograph,
     read_mask,
     read_normal_map,
     read_photograph,
@@ -198,6 +201,9 @@ def relight_files(
             normals.json of `raden capture normals`, which knows it by the photograph's name: keeps
             the photograph's own texture.
         coded: what whole numbers in the photographs are; the pictures are written as sRGB.
+
+    Alpha is kept where the output's format has one. In a strip every lamp has it; a contact sheet
+    is opaque.
     """
     targets = _targets(photos, output)
     loaded = load_model(model)
@@ -206,6 +212,7 @@ def relight_files(
     gain = None if exposure_ev is None else 2.0**exposure_ev
     for path, target in zip(photos, targets, strict=True):
         photo = read_photograph(path, coded=coded)
+        check_photograph(photo, target)
         before = None if original is None else [_original_lamp(original, path)]
         scene = (loaded, photo.linear, normal, coverage)
         with torch.no_grad():
@@ -215,8 +222,22 @@ def relight_files(
                 lamps = lamp_ring(strip or sheet or 0, elevation_deg)
                 tiles = relit_under(*scene, lamps, gain=gain, original=before)
                 relit = tiled(tiles, len(lamps)) if strip else _sheet(tiles, coverage, lamps, gain)
-        write_photograph(replace(photo, linear=relit), target, caption_of(loaded))
+        alpha = _alpha_of(photo, path, strip=strip, sheet=sheet)
+        write_photograph(replace(photo, linear=relit, alpha=alpha), target, caption_of(loaded))
     return targets
+
+
+def _alpha_of(
+    photo: Photograph, path: Path, *, strip: int | None, sheet: int | None
+) -> Tensor | None:
+    """The photograph's own, once a lamp in a strip; a contact sheet is opaque."""
+    if photo.alpha is None or (strip is None and sheet is None):
+        return photo.alpha
+    if strip is not None:
+        return photo.alpha.repeat(1, 1, 1, strip)
+    if bool((photo.alpha < 1).any()):
+        warnings.warn(f"{path}: alpha is left out: a contact sheet is opaque", stacklevel=3)
+    return None
 
 
 def _sheet(

@@ -1,4 +1,4 @@
-"""Photographs, normal maps and masks as files, through OpenCV."""
+"""Photographs, normal maps and masks as files."""
 
 from __future__ import annotations
 
@@ -13,14 +13,34 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from raden_torch.brdf.exr_layers import Layers
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.errors import InputError
+from raden_torch.images.colour_space import (
+    SRGB_SPACE,
+    colour_space_of,
+    exr_matrix,
+    float_matrix,
+    in_srgb,
+)
+from raden_torch.images.exr import write_channels
+from raden_torch.images.exr_rows import ExrRows
 from raden_torch.images.mask import read_mask_pixels
-from raden_torch.images.pixels import draw_caption, read_pixels, write_pixels
+from raden_torch.images.pixels import (
+    OPAQUE_ENOUGH,
+    draw_caption,
+    read_image,
+    read_pixels,
+    write_pixels,
+)
 
 Green = Literal["opengl", "directx"]
 
 _FLOAT_SUFFIXES = (".exr", ".hdr", ".tif", ".tiff")
+_WHOLE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")
+_WITHOUT_ALPHA = (".jpg", ".jpeg", ".hdr")
+_BEYOND_SRGB = 1e-3
+"""Of linear light: colours with less than minus this are told."""
 
 
 @dataclass(frozen=True)
@@ -28,37 +48,62 @@ class Photograph:
     """A photograph in linear light, and how it was stored.
 
     Attributes:
-        linear: `[1, 3, H, W]`, RGB; sRGB files are decoded, float files are taken as linear.
+        linear: `[1, 3, H, W]`, linear RGB of sRGB's primaries, not multiplied by alpha.
         levels: the largest stored value: 255, 65535, or None for floating-point files.
+        alpha: `[1, 1, H, W]`, 0…1; None where the file has none.
     """
 
     linear: Tensor
     levels: int | None
+    alpha: Tensor | None = None
 
 
 def read_photograph(
     path: str | os.PathLike[str], *, coded: Literal["srgb", "linear"] = "srgb"
 ) -> Photograph:
-    """Read an 8- or 16-bit PNG, JPEG or TIFF, or a float TIFF, HDR or EXR (linear).
+    """Read an 8- or 16-bit PNG, JPEG, TIFF, BMP, GIF or WebP, or a float TIFF, HDR or EXR (linear).
+
+    A colour profile, PNG's colour chunks and OpenEXR's chromaticities are followed: the result has
+    sRGB's primaries, unclipped. EXIF's orientation is followed, as in every image that is read.
 
     Args:
-        coded: whether whole numbers are sRGB, or linear light as a camera's raw converter may
-            write it.
+        coded: whether whole numbers are what the file's profile says (sRGB where it has none), or
+            linear light of its primaries, as a camera's raw converter may write it.
 
     Raises:
-        InputError: missing, not an image, or too large.
+        InputError: as for `read_image` and `colour_space_of`; or whole numbers of other sizes.
+
+    Warns:
+        UserWarning: an 8- or 16-bit photograph with colours that sRGB cannot hold.
     """
     if Path(path).suffix.lower() == ".exr":
-        return Photograph(_exr_colour(path), None)
-    from kornia.color import rgb_to_linear_rgb
-
-    pixels = read_pixels(path, colour=True)
-    levels = _levels(pixels)
-    rgb = _tensor(pixels)
+        return _exr_photograph(path)
+    image = read_image(path)
+    levels, tags = _levels(path, image.pixels), image.header.colour
     if levels is None:
-        return Photograph(rgb, None)
-    stored = rgb / levels
-    return Photograph(stored if coded == "linear" else rgb_to_linear_rgb(stored), levels)
+        matrix = float_matrix(tags, path, is_linear=coded == "linear")
+        rgb = _finite(image.rgb)
+    else:
+        space = colour_space_of(tags, path) or SRGB_SPACE
+        ramp = np.linspace(0, 1, levels + 1, dtype=np.float32)[:, None].repeat(3, 1)
+        table = ramp if coded == "linear" else space.table(levels)
+        stored, matrix = image.rgb, space.matrix
+        rgb = np.stack([table[:, c].take(stored[..., c]) for c in range(3)], -1)
+    rgb = in_srgb(rgb, matrix)
+    if levels is not None and matrix is not None:
+        _warn_of_gamut(path, rgb)
+    alpha = None
+    if image.alpha is not None:
+        alpha = _tensor(np.clip(_finite(image.alpha) / (levels or 1), 0, 1)[..., None])
+    return Photograph(_tensor(rgb), levels, alpha)
+
+
+def check_photograph(photo: Photograph, path: str | os.PathLike[str]) -> None:
+    """Raise InputError where `write_photograph` could not write it under this suffix."""
+    if photo.levels is None:
+        _check_suffix(path, _FLOAT_SUFFIXES, "a floating-point photograph")
+    else:
+        _check_suffix(path, _WHOLE_SUFFIXES, "a photograph")
 
 
 def write_photograph(
@@ -68,7 +113,11 @@ def write_photograph(
     *,
     coded: Literal["srgb", "linear"] = "srgb",
 ) -> None:
-    """Write a photograph as it was stored: its bit depth, sRGB for whole numbers.
+    """Write a photograph as it was stored: its bit depth, its alpha, sRGB for whole numbers; 8 bits
+    into a JPEG, linear floats into an EXR or HDR.
+
+    No profile is written: whole numbers without one are sRGB, floats linear sRGB. An EXR's colours
+    are multiplied by alpha, a PNG's and a TIFF's are not.
 
     Args:
         caption: a small line drawn into the lower left corner of a whole-number file.
@@ -76,42 +125,91 @@ def write_photograph(
 
     Raises:
         InputError: a suffix that cannot hold it.
+
+    Warns:
+        UserWarning: an alpha that the format has no place for, and that is not 1 everywhere.
     """
     from kornia.color import linear_rgb_to_rgb
 
+    check_photograph(photo, path)
     suffix = Path(path).suffix.lower()
-    rgb = photo.linear[0].detach().cpu()
-    pixels: NDArray[Any]
-    if photo.levels is None:
-        _check_suffix(path, _FLOAT_SUFFIXES, "a floating-point photograph")
-        pixels = rgb.movedim(0, -1).numpy()
-    else:
-        _check_suffix(path, (".png", ".jpg", ".jpeg", ".tif", ".tiff"), "a photograph")
-        levels = 255 if suffix in (".jpg", ".jpeg") else photo.levels
-        shown = rgb[None].clamp(0, 1)
-        shown = linear_rgb_to_rgb(shown) if coded == "srgb" else shown
-        pixels = np.rint(shown[0].movedim(0, -1).numpy() * levels).astype(
-            np.uint8 if levels == 255 else np.uint16
-        )
+    alpha = photo.alpha
+    if alpha is not None and suffix in _WITHOUT_ALPHA:
+        if bool((alpha < 1).any()):
+            warnings.warn(f"{path}: alpha is left out: {suffix} has none", stacklevel=2)
+        alpha = None
+    rgb = photo.linear[0].detach().cpu().float()
     if suffix == ".exr":
-        from raden_torch.brdf.gbuffer_file import write_image
-
-        write_image(photo.linear, path)
+        _write_exr(rgb, alpha, path)
         return
-    if caption and photo.levels is not None:
-        pixels = np.ascontiguousarray(pixels)
-        draw_caption(pixels, caption)
-    write_pixels(pixels, path)
+    levels = {".jpg": 255, ".jpeg": 255, ".hdr": None}.get(suffix, photo.levels)
+    if levels is None:
+        rgb = rgb.clamp(min=0) if suffix == ".hdr" else rgb
+    else:
+        rgb = rgb.clamp(0, 1)
+        rgb = linear_rgb_to_rgb(rgb[None])[0] if coded == "srgb" else rgb
+    pixels = _stored(rgb.movedim(0, -1), levels)
+    cover = None if alpha is None else _stored(alpha[0, 0].detach().cpu(), levels)
+    if caption and levels is not None:
+        draw_caption(pixels, caption, cover)
+    write_pixels(pixels, path, cover)
 
 
-def _exr_colour(path: str | os.PathLike[str]) -> Tensor:
-    from raden_torch.brdf.gbuffer_file import read_colour
-    from raden_torch.images.exr import list_channels
+def _stored(values: Tensor, levels: int | None) -> NDArray[Any]:
+    if levels is None:
+        return np.ascontiguousarray(values.numpy(), np.float32)
+    whole = np.uint8 if levels == 255 else np.uint16
+    return np.ascontiguousarray(np.rint(values.numpy() * levels), whole)
+
+
+def _exr_photograph(path: str | os.PathLike[str]) -> Photograph:
+    """With the alpha of the layer that the colours are in."""
+    from raden_torch.brdf.gbuffer_file import read_colour, stacked
 
     colour = read_colour(path)
+    file = ExrRows(path)
+    grey = [(part, name) for _, part, name in file.keys if name == "Y"]
+    if colour is None and len(grey) == 1:
+        colour = torch.nan_to_num(stacked(file, grey * 3, 0, file.size[0]), posinf=0, neginf=0)
     if colour is None:
-        raise InputError(f"{path}: no R, G, B; it has {', '.join(list_channels(path))}")
-    return colour
+        names = ", ".join(key for key, _, _ in file.keys)
+        raise InputError(f"{path}: no R, G, B; it has {names}")
+    matrix = exr_matrix(path)
+    if matrix is not None:
+        colour = torch.einsum("ij,bjhw->bihw", torch.from_numpy(matrix).float(), colour)
+    part, name = (Layers.of(file, None).vector("colour") or grey)[0]
+    key = (part, name[:-1] + ("A" if name[-1].isupper() else "a"))
+    if key not in {(part, channel) for _, part, channel in file.keys}:
+        return Photograph(colour, None)
+    alpha = torch.nan_to_num(stacked(file, (key,), 0, file.size[0]), nan=0.0).clamp(0, 1)
+    return Photograph(colour / _divisor(alpha), None, alpha)
+
+
+def _write_exr(rgb: Tensor, alpha: Tensor | None, path: str | os.PathLike[str]) -> None:
+    channels = dict(zip("RGB", (rgb if alpha is None else rgb * _divisor(alpha[0])), strict=True))
+    if alpha is not None:
+        channels["A"] = alpha[0, 0]
+    write_channels(path, {name: m.detach().cpu().numpy() for name, m in channels.items()})
+
+
+def _divisor(alpha: Tensor) -> Tensor:
+    """What an EXR's colours are multiplied by: alpha, but 1 where that is 0 (glowing pixels)."""
+    return torch.where(alpha > OPAQUE_ENOUGH, alpha, torch.ones_like(alpha))
+
+
+def _warn_of_gamut(path: str | os.PathLike[str], rgb: NDArray[np.float32]) -> None:
+    outside = float((rgb.min(axis=2) < -_BEYOND_SRGB).mean())
+    if outside > 0:
+        warnings.warn(
+            f"{path}: {100 * outside:.2g} % of its pixels are outside sRGB: 8- or 16-bit pictures "
+            "clip them, an EXR keeps them",
+            stacklevel=3,
+        )
+
+
+def _finite(values: NDArray[Any]) -> NDArray[np.float32]:
+    with np.errstate(over="ignore"):
+        return np.nan_to_num(values.astype(np.float32), posinf=0.0, neginf=0.0)
 
 
 def read_normal_map(
@@ -148,7 +246,7 @@ def read_normal_map(
                 "a 16-bit PNG or an EXR holds them well",
                 stacklevel=2,
             )
-        normal = decoded_normals(_tensor(pixels[..., :3]), _levels(pixels))
+        normal = decoded_normals(_tensor(pixels[..., :3]), _levels(path, pixels))
         if pixels.shape[2] == 4:
             normal = normal * (_tensor(pixels[..., 3:]) > 0)
     if green == "directx":
@@ -174,8 +272,12 @@ def read_mask(path: str | os.PathLike[str]) -> Tensor:
     return torch.from_numpy(read_mask_pixels(path))[None, None]
 
 
-def _levels(pixels: NDArray[Any]) -> int | None:
-    return None if pixels.dtype.kind == "f" else int(np.iinfo(pixels.dtype).max)
+def _levels(path: str | os.PathLike[str], pixels: NDArray[Any]) -> int | None:
+    if pixels.dtype.kind == "f":
+        return None
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"{path}: expected 8 or 16 bits or floats, got {pixels.dtype}")
+    return int(np.iinfo(pixels.dtype).max)
 
 
 def _tensor(pixels: NDArray[Any]) -> Tensor:

@@ -181,6 +181,62 @@ def test_a_png_that_says_it_is_linear(tmp_path: Path) -> None:
     assert read_linear(tmp_path / "b.png", coded="srgb").linear.mean() < values.mean() / 255 - 0.1
 
 
+P3_TO_SRGB = np.array([[1.2249, -0.2247, 0], [-0.0420, 1.0419, 0], [-0.0197, -0.0786, 1.0979]])
+"""As CSS Color 4 has it, rounded."""
+
+
+@pytest.mark.parametrize(
+    ("transfer", "coded", "is_curved"),
+    [(13, "auto", True), (8, "auto", False), (8, "srgb", True), (13, "linear", False)],
+)
+def test_display_p3(tmp_path: Path, transfer: int, coded: str, is_curved: bool) -> None:
+    """Expected: `coded` decides the curve, the file the primaries, and rounding errors that are
+    independent add up through the matrix."""
+    values = ramp(65535)
+    plain = save(tmp_path / "a.png", values).read_bytes()
+    chunk = b"cICP" + bytes([12, transfer, 0, 1])
+    chunk = (4).to_bytes(4, "big") + chunk + zlib.crc32(chunk).to_bytes(4, "big")
+    (tmp_path / "b.png").write_bytes(plain[:33] + chunk + plain[33:])
+    photo = read_linear(tmp_path / "b.png", coded=coded)
+    linear = srgb_curve(values / 65535) if is_curved else values / 65535
+    np.testing.assert_allclose(photo.linear, linear @ P3_TO_SRGB.T, atol=5e-4)
+    as_srgb = read_linear(tmp_path / "a.png", coded="srgb" if is_curved else "linear").rounding
+    expected = np.sqrt(as_srgb**2 @ (P3_TO_SRGB**2).T)
+    np.testing.assert_allclose(photo.rounding, expected, rtol=2e-3)
+    response = np.linspace(0, 2, 65536)
+    own = read_linear(tmp_path / "b.png", coded=response)
+    np.testing.assert_allclose(own.linear, values / 65535 * 2, atol=1e-5)
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA", "P", "L"])
+def test_alpha_and_palettes(tmp_path: Path, mode: str) -> None:
+    """Expected: colours that alpha does not multiply."""
+    values = np.dstack([ramp(255), ramp(255)[..., 0]])
+    picture = Image.fromarray(values if mode == "RGBA" else values[..., :3])
+    picture = picture.quantize(256) if mode == "P" else picture.convert(mode)
+    if mode == "LA":
+        picture.putalpha(Image.fromarray(values[..., 3]))
+    picture.save(tmp_path / "a.tif")
+    expected = np.array(picture.convert("RGBA"))[..., :3]
+    linear = read_linear(tmp_path / "a.tif", pattern="none").linear
+    np.testing.assert_allclose(linear, srgb_curve(expected / 255), atol=1e-6)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("size", [(24, 32), (25, 31)])
+def test_a_turned_mosaic(tmp_path: Path, orientation: int, size: tuple[int, int]) -> None:
+    """The CFA tag is of the pixels as stored. Expected: colours as without the turn, turned."""
+    height, width = size
+    masks = colour_masks("GRBG", height, width)
+    stored = sum(masks[c] * v for c, v in zip("RGB", (40, 90, 160), strict=True)).astype(np.uint8)
+    tags = {33421: (2, 2), 33422: bytes("RGB".index(c) for c in "GRBG"), 274: orientation}
+    Image.fromarray(stored).save(tmp_path / "a.tif", tiffinfo=tags)
+    photo = read_linear(tmp_path / "a.tif")
+    assert photo.size == ((width, height) if orientation >= 5 else (height, width))
+    expected = np.broadcast_to(np.array([40, 90, 160]) / 255, photo.linear.shape)
+    np.testing.assert_allclose(photo.linear, expected, atol=1e-6)
+
+
 def test_low_bytes_are_noticed(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
     deep = ramp(65535) + rng.integers(0, 500, (H, W, 3)).astype(np.uint16)
@@ -221,7 +277,7 @@ def test_missing_and_strange_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="No such file"):
         read_linear(tmp_path / "none.png")
     (tmp_path / "text.jpg").write_text("not a picture")
-    with pytest.raises(InputError, match="not an image that OpenCV reads"):
+    with pytest.raises(InputError, match="not an image that is read here"):
         read_linear(tmp_path / "text.jpg")
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from raden_torch.capture.photo.photograph import Photograph
 from raden_torch.errors import InputError
+from raden_torch.images.colour_space import srgb_curve
 
 Floats = NDArray[np.float64]
 
@@ -350,12 +351,10 @@ def _refined(picture: NDArray[np.uint8], grid: Floats) -> Floats:
 
 def _oriented(picture: NDArray[np.uint8], grid: Floats) -> Chart | None:
     """The chart, turned and mirrored so that its colours are those of a ColorChecker."""
-    from raden_torch.capture.photo.photograph import srgb_to_linear
-
     points = Chart(grid, False, 0.0).pixels(_centres())
     around = np.array([[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
     spots = _sampled(picture, points[:, None] + around).astype(np.float64)
-    rgb = srgb_to_linear(np.median(spots, axis=1) / 255).reshape(ROWS, COLUMNS, 3)
+    rgb = srgb_curve(np.median(spots, axis=1) / 255).reshape(ROWS, COLUMNS, 3)
     wanted = reference_xyz()
     found = []
     for mirror in (False, True):

@@ -19,12 +19,19 @@ from raden_torch.capture.photo.mosaic import (
     possible_patterns,
 )
 from raden_torch.errors import InputError
-from raden_torch.images.pixels import read_pixels
+from raden_torch.images.colour_space import (
+    SRGB_SPACE,
+    ColourSpace,
+    colour_space_of,
+    exr_matrix,
+    float_matrix,
+    in_srgb,
+)
+from raden_torch.images.pixels import StoredImage, oriented, read_image
 
 Floats = NDArray[np.float32]
 Coding = Literal["auto", "srgb", "linear"] | NDArray[np.floating[Any]]
 
-_COLOUR_MODES = ("RGB", "RGBA", "RGBX", "P", "CMYK", "YCbCr", "LA")
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
 _JUMPS = 0.15
 """Share of neighbours half the range apart from which an 8-bit file is taken for the low bytes of
@@ -77,10 +84,14 @@ def read_linear(
     """Read a photograph: 8- or 16-bit PNG, JPEG or TIFF, float TIFF, EXR, Radiance HDR, or a raw
     Bayer mosaic as a TIFF or PNG of one channel.
 
+    A colour profile (or PNG's colour chunks, or OpenEXR's chromaticities) is followed to linear RGB
+    of sRGB's primaries, except in mosaics and with a response. Alpha is left out.
+
     Args:
-        coded: what the stored values mean. "linear"; "srgb"; a response as `recover_response` gives
-            it, `[levels]` or `[levels, 3]`; "auto": linear for mosaics, floats and PNG whose
-            gAMA is 1, sRGB for the rest.
+        coded: what the stored values mean. "linear": light of the profile's primaries; "srgb": sRGB
+            whatever the profile's curve is; a response as `recover_response` gives it, `[levels]`
+            or `[levels, 3]`; "auto": linear for mosaics and floats, the profile's curve for the
+            rest, sRGB where there is none.
         pattern: "RGGB", "BGGR", "GRBG" or "GBRG" for a mosaic; without it the file's CFA tag is
             taken. "none" says that the one channel is grey.
         keep_mosaic: leave the mosaic `[H, W, 1]` as it is.
@@ -99,16 +110,19 @@ def read_linear(
     if path.suffix.lower() == ".exr":
         stored: NDArray[Any] = _exr_colour(path)
         said: dict[str, Any] = {}
+        space, matrix = None, exr_matrix(path)
     else:
-        said = _metadata(path)
-        stored = read_pixels(path, colour=said.get("mode") in _COLOUR_MODES)
-        if stored.ndim == 3 and stored.shape[2] != 3:  # with alpha, or palettes
-            stored = read_pixels(path, colour=True)
+        image = read_image(path)
+        stored, said = image.pixels, _metadata(image)
+        space, matrix = _colours(path, image, coded)
     _check_whole(path, stored)
-    if isinstance(coded, str) and coded == "auto" and said.get("is_linear"):
-        coded = "linear"
     mosaic = _pattern(path, stored, pattern, said.get("pattern"))
-    linear, rounding, top = _decoded(path, stored, coded, white_level or said.get("white"), mosaic)
+    linear, rounding, top = _decoded(
+        path, stored, coded, white_level or said.get("white"), mosaic, space
+    )
+    if matrix is not None and linear.shape[2] == 3:
+        linear = in_srgb(linear, matrix)
+        rounding = np.sqrt(in_srgb(rounding**2, matrix**2))
     full = stored.reshape(*stored.shape[:2], -1) >= (np.inf if top is None else top)
     saturated: NDArray[np.bool_] = np.asarray(full.any(axis=2))
     if mosaic is not None and not keep_mosaic:
@@ -142,7 +156,7 @@ def read_stored(path: str | os.PathLike[str]) -> NDArray[Any]:
     """
     path = Path(path)
     is_exr = path.suffix.lower() == ".exr"
-    pixels: NDArray[Any] = _exr_colour(path) if is_exr else read_pixels(path, colour=True)
+    pixels: NDArray[Any] = _exr_colour(path) if is_exr else read_image(path).rgb
     if pixels.dtype == np.uint8:
         return pixels
     if pixels.dtype.kind == "u":
@@ -154,7 +168,11 @@ def shown(linear: NDArray[Any]) -> NDArray[np.uint8]:
     """Linear `[H, W, 3]` → 8-bit sRGB for a person or a detector, the brightest 1 % clipped."""
     top = float(np.quantile(linear.max(axis=-1), 0.99))
     scaled = np.clip(linear / top if top > 0 else linear, 0, 1)
-    return np.searchsorted(_srgb(255), scaled.ravel()).reshape(linear.shape).astype(np.uint8)
+    return (
+        np.searchsorted(SRGB_SPACE.table(255)[:, 0], scaled.ravel())
+        .reshape(linear.shape)
+        .astype(np.uint8)
+    )
 
 
 def check_same_size(photos: Sequence[Photograph]) -> None:
@@ -169,7 +187,12 @@ def check_same_size(photos: Sequence[Photograph]) -> None:
 
 
 def _decoded(
-    path: Path, stored: NDArray[Any], coded: Coding, white: float | None, mosaic: str | None
+    path: Path,
+    stored: NDArray[Any],
+    coded: Coding,
+    white: float | None,
+    mosaic: str | None,
+    space: ColourSpace | None,
 ) -> tuple[Floats, Floats, float | None]:
     """Linear and its rounding, `[H, W, C]`, and the stored value that is saturated."""
     values = stored if stored.ndim == 3 else stored[..., None]
@@ -180,7 +203,7 @@ def _decoded(
     top = float(levels if white is None else white)
     if not 1 < top <= levels:
         raise InputError(f"{path}: white level {top:g}; 2…{levels} was wanted")
-    table = _table(path, coded, levels, top, mosaic)
+    table = _table(path, coded, levels, top, mosaic, space)
     slope = np.gradient(table, axis=0)
     grain = (slope / np.sqrt(12)).astype(np.float32)
     linear, rounding = np.empty(values.shape, np.float32), np.empty(values.shape, np.float32)
@@ -191,7 +214,14 @@ def _decoded(
     return linear, rounding, top
 
 
-def _table(path: Path, coded: Coding, levels: int, top: float, mosaic: str | None) -> Floats:
+def _table(
+    path: Path,
+    coded: Coding,
+    levels: int,
+    top: float,
+    mosaic: str | None,
+    space: ColourSpace | None,
+) -> Floats:
     """Stored value → linear, `[levels + 1, 1 or 3]`."""
     if not isinstance(coded, str):
         table = np.asarray(coded, np.float32).reshape(len(coded), -1)
@@ -210,18 +240,20 @@ def _table(path: Path, coded: Coding, levels: int, top: float, mosaic: str | Non
     ramp = np.arange(levels + 1, dtype=np.float32)[:, None] / top
     if coded == "linear" or (coded == "auto" and mosaic is not None):
         return ramp
-    return _srgb(levels, top)[:, None]
+    return (SRGB_SPACE if space is None or coded == "srgb" else space).table(levels, top)
 
 
-def srgb_to_linear(values: NDArray[Any]) -> NDArray[np.float64]:
-    """sRGB 0…1 → linear (IEC 61966-2-1, through colour-science)."""
-    from colour.models import eotf_sRGB
-
-    return np.asarray(eotf_sRGB(values), np.float64)
-
-
-def _srgb(levels: int, top: float | None = None) -> Floats:
-    return srgb_to_linear(np.arange(levels + 1) / (top or levels)).astype(np.float32)
+def _colours(
+    path: Path, image: StoredImage, coded: Coding
+) -> tuple[ColourSpace | None, NDArray[np.float64] | None]:
+    """What the file says of its colours, and the matrix to sRGB's primaries."""
+    if not isinstance(coded, str):
+        return None, None
+    tags = image.header.colour
+    if image.pixels.dtype.kind == "f":
+        return None, float_matrix(tags, path, is_linear=coded == "linear")
+    space = colour_space_of(tags, path)
+    return space, None if space is None else space.matrix
 
 
 def _check_whole(path: Path, stored: NDArray[Any]) -> None:
@@ -271,21 +303,10 @@ def _pattern(
     return tagged
 
 
-def _metadata(path: Path) -> dict[str, Any]:
+def _metadata(image: StoredImage) -> dict[str, Any]:
     """What EXIF and TIFF tags say; an empty answer where there are none."""
-    from PIL import Image, UnidentifiedImageError
-
     said: dict[str, Any] = {}
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # damaged tags, large images: not this reader's matter
-            with Image.open(path) as image:
-                said["mode"] = image.mode
-                said["is_linear"] = image.info.get("gamma") == 1  # PNG's gAMA
-                exif = image.getexif()
-                inner = dict(exif) | dict(exif.get_ifd(0x8769))
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
-        return said
+    inner = image.header.tags
     for name, tag in (("exposure_s", 33434), ("f_number", 33437), ("iso", 34855), ("white", 50717)):
         value: Any = inner.get(tag)
         try:
@@ -298,8 +319,18 @@ def _metadata(path: Path) -> dict[str, Any]:
     if isinstance(cells, (bytes, tuple)) and len(cells) == 4 and set(cells) <= {0, 1, 2}:
         word = "".join("RGB"[int(c)] for c in cells)
         if word in BAYER_PATTERNS:
-            said["pattern"] = word
+            said["pattern"] = _turned(word, image)
     return said
+
+
+def _turned(pattern: str, image: StoredImage) -> str:
+    """The pattern of the picture as it is read, turned as EXIF says; the tag is of it as stored."""
+    way, (height, width) = image.header.orientation, image.pixels.shape[:2]
+    if way >= 5:
+        height, width = width, height
+    rows, columns = np.ogrid[: 2 + height % 2, : 2 + width % 2]
+    corner = oriented(np.array(list(pattern))[2 * (rows % 2) + columns % 2], way)[:2, :2]
+    return "".join(corner.ravel())
 
 
 def _exr_colour(path: Path) -> Floats:

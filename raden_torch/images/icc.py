@@ -1,0 +1,95 @@
+"""ICC profiles of matrix and curves (ICC.1:2022), at 16 bits; Pillow's LittleCMS converts 8."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Curve = Callable[[Floats], Floats]
+
+ICC_WHITE = (0.9642, 1.0, 0.8249)
+"""XYZ of the white that profiles are adapted to (D50), as ICC.1 rounds it."""
+
+
+@dataclass(frozen=True)
+class IccProfile:
+    """A profile's colours.
+
+    Attributes:
+        curves: stored 0…1 → linear 0…1, one for grey, or one each for red, green and blue.
+        to_xyz: `[3, 3]`, linear RGB → XYZ under `ICC_WHITE`; None for grey.
+    """
+
+    curves: tuple[Curve, ...]
+    to_xyz: Floats | None
+
+
+class UnknownProfile(ValueError):
+    """Says what a profile is, where it is neither grey nor RGB with matrix and curves."""
+
+
+def parse_icc(data: bytes) -> IccProfile:
+    """The curves and the matrix of a grey or RGB profile.
+
+    Raises:
+        UnknownProfile: of another colour space, of lookup tables alone, or damaged.
+    """
+    try:
+        space = data[16:20].decode("latin-1").strip()
+        if data[36:40] != b"acsp":
+            raise UnknownProfile("a damaged profile")
+        (count,) = struct.unpack_from(">I", data, 128)
+        entries = (struct.unpack_from(">4sII", data, 132 + 12 * k) for k in range(min(count, 200)))
+        tags = {name: data[start : start + size] for name, start, size in entries}
+        if space == "GRAY" and b"kTRC" in tags:
+            return IccProfile((_curve(tags[b"kTRC"]),), None)
+        wanted = [bytes([c]) + rest for rest in (b"XYZ", b"TRC") for c in b"rgb"]
+        if space != "RGB" or not tags.keys() >= set(wanted):
+            raise UnknownProfile(f"{space or 'an unnamed'} profile of lookup tables")
+        columns = [_numbers(tags[name], 8, 3) for name in wanted[:3]]
+        return IccProfile(tuple(_curve(tags[name]) for name in wanted[3:]), np.stack(columns, 1))
+    except (struct.error, IndexError) as error:
+        raise UnknownProfile("a damaged profile") from error
+
+
+def _numbers(tag: bytes, start: int, count: int) -> Floats:
+    """s15Fixed16."""
+    return np.array(struct.unpack_from(f">{count}i", tag, start), np.float64) / 65536
+
+
+def _curve(tag: bytes) -> Curve:
+    """A curveType or parametricCurveType (ICC.1:2022, 10.6 and 10.18)."""
+    if tag[:4] == b"curv":
+        (count,) = struct.unpack_from(">I", tag, 8)
+        table = np.array(struct.unpack_from(f">{count}H", tag, 12), np.float64)
+        if count == 0:
+            return lambda x: x
+        if count == 1:
+            gamma = float(table[0]) / 256
+            return lambda x: _power(x, gamma)
+        places = np.linspace(0, 1, count)
+        return lambda x: np.interp(x, places, table / 65535)
+    if tag[:4] == b"para":
+        (kind,) = struct.unpack_from(">H", tag, 8)
+        if kind <= 4:
+            return _parametric(kind, *_numbers(tag, 12, (1, 3, 4, 5, 7)[kind]))
+    raise UnknownProfile(f"a curve of type {tag[:4]!r}")
+
+
+def _parametric(kind: int, g: float, *numbers: Any) -> Curve:
+    a, b, c, d, e, f = (*numbers, *(0.0,) * 6)[:6]
+    if kind == 0:
+        return lambda x: _power(x, g)
+    if kind in (1, 2):  # c is an offset; below -b/a the curve is flat
+        return lambda x: _power(np.maximum(a * x + b, 0), g) + c
+    return lambda x: np.where(x >= d, _power(a * x + b, g) + e, c * x + f)
+
+
+def _power(x: Floats, exponent: float) -> Floats:
+    return np.asarray(np.maximum(x, 0) ** exponent)
