@@ -71,7 +71,7 @@ class _Block:
         return [begin + i * step for i in range(round(count))]
 
 
-def recognises(head: bytes) -> bool:
+def recognises(head: str) -> bool:
     """True where the first lines are those of the export's header."""
     lines = first_lines(head, 12)
     return bool(lines) and lines[0].startswith(_FIRST_KEY)
