@@ -185,7 +185,7 @@ def _channels(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
     )
     if not known:
         raise InputError(
-            f"{where}: value columns {', '.join(channels) or '(none)'}; "
+            f"{where}: value columns {', '.join(c or '(no name)' for c in channels) or '(none)'}; "
             "X,Y,Z or R,G,B or bands as 550nm were wanted"
         )
     spread = [name for name in columns if name[:4] == "std_"]

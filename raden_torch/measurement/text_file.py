@@ -27,6 +27,7 @@ _UTF_16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 _WESTERN = "À-ÖØ-öø-þ°±²³µ·×§«»©®¼½¾¿¡£¥€„…Š‹›ŒŽ‘’“”–—šœžŸ\u00a0"
 _NOT_WESTERN = re.compile(rf"[^\x00-\x7f{_WESTERN}]|[^\x00-\x7f]{{3}}")
 _MAYBE_JAPANESE = re.compile(r"[^\x00-\x7fÀ-ÖØ-öø-þ°±²³µ·§«»’]|[^\x00-\x7f]{2}")
+_JAPANESE_LEAD = re.compile(rb"[\x81-\x9f]")  # without one it may be EUC-JP or GB 2312
 _NOT_JAPANESE = re.compile("[\u0080-\u00a0\ue000-\uf8ff]")
 
 
@@ -136,12 +137,14 @@ def _legacy(data: bytes) -> TextFile | None:
 
     Windows-1252 must be what Western European text holds: signs from `_WESTERN`, no three in a
     row. Where the bytes are Shift-JIS as well, accented letters (or ° and the like) that stand
-    alone between ASCII decide for Windows-1252, and everything else is ambiguous. Text that is
-    mostly UTF-8 is damaged UTF-8.
+    alone between ASCII decide for Windows-1252, and everything else is ambiguous. Half-width
+    katakana alone are, too: EUC-JP and GB 2312 look like them. Text that is mostly UTF-8 is
+    damaged UTF-8.
     """
     replaced = data.decode("utf-8", "replace")
     broken = replaced.count("\ufffd")
-    if sum(not char.isascii() for char in replaced) - broken > broken:
+    whole = len(replaced) - len(replaced.encode("ascii", "ignore")) - broken
+    if whole > broken:
         return None
     japanese, western = _decoded(data, "cp932"), _decoded(data, "cp1252")
     if japanese is not None and _NOT_JAPANESE.search(japanese):
@@ -150,7 +153,7 @@ def _legacy(data: bytes) -> TextFile | None:
         western = None
     if western is not None and (japanese is None or not _MAYBE_JAPANESE.search(western)):
         return TextFile(western, "Windows-1252")
-    if japanese is not None and western is None:
+    if japanese is not None and western is None and _JAPANESE_LEAD.search(data):
         return TextFile(japanese, "Shift-JIS")
     return None
 

@@ -21,6 +21,7 @@ from raden_torch.capture.spectrometer.white_file import xyz_at
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 
+SHELL = {"euc_jp": "螺鈿", "gb2312": "螺钿贝壳", "big5": "螺鈿", "cp1251": "перламутр"}
 JAPANESE, WESTERN = "夜光貝の測定", "größe, mesuré le 3 août"
 HEADER = "incidence_deg,receiving_deg,tilt_deg,X,Y,Z\n"
 
@@ -275,6 +276,13 @@ AMBIGUOUS = {
         "# 夜\n".encode("cp932") + (HEADER + "0,0,0,1,2,3\n").encode(),
         "line 1: byte 0x96 is not UTF-8, and the file is not clearly Shift-JIS or Windows-1252",
     ),
+    **{
+        encoding: (
+            f"# {words}\n".encode(encoding) + (HEADER + "0,0,0,1,2,3\n").encode(),
+            "is not UTF-8, and the file is not clearly Shift-JIS or Windows-1252",
+        )
+        for encoding, words in SHELL.items()
+    },
     "damaged UTF-8": (
         "# 夜光貝の測定\n".encode().replace(b"\x85", b"\x20", 1)
         + (HEADER + "0,0,0,1,2,3\n").encode(),
