@@ -98,12 +98,11 @@ class CsvTable:
         if self.separator != ",":
             commas = " with decimal commas" if decimal_commas else ""
             parts.append(f"{SEPARATORS[self.separator]}-separated{commas}")
-        renamed = [
-            pair for pair in zip(self.written, self.columns, strict=True) if len({*pair}) > 1
-        ]
+        names = zip(self.written, self.columns, strict=True)
+        renamed = [(written, own) for written, own in names if written != own]
         if renamed:
-            written, own = (", ".join(names[:8]) for names in zip(*renamed, strict=True))
-            parts.append(f"columns {written} as {own}")
+            before, after = (", ".join(column[:8]) for column in zip(*renamed, strict=True))
+            parts.append(f"columns {before} as {after}")
         return ", ".join(parts)
 
 
