@@ -22,8 +22,11 @@ def own_name(written: str) -> str:
     name = " ".join(written.split())
     if angle := _ANGLE.fullmatch(name):
         return f"{angle[1].lower()}_deg"
-    if band := _BAND.fullmatch(name):
-        return f"{band[1].replace(',', '.')}nm"
     if spread := _SPREAD.fullmatch(name):
-        return f"std_{own_name(spread[1])}"
-    return name.lower() if name.lower() in ("count", "valid") else name
+        return f"std_{_own_channel(spread[1])}"
+    return name.lower() if name.lower() in ("count", "valid") else _own_channel(name)
+
+
+def _own_channel(name: str) -> str:
+    band = _BAND.fullmatch(name)
+    return f"{band[1].replace(',', '.')}nm" if band else name

@@ -180,7 +180,7 @@ def _check_each_once(path: Path, line: int, columns: Sequence[str]) -> None:
     for column in columns:
         if column and column.casefold() in seen:
             raise InputError(
-                f"{path}: line {line}: expected each column once, got {column} twice "
+                f"{path}: line {line}: expected each column once, got {column[:40]} twice "
                 "(upper and lower case count as one)"
             )
         seen.add(column.casefold())

@@ -172,7 +172,7 @@ def _check_rows(path: Path, header: _Header, rows: int) -> None:
 
 
 def _channels(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
-    where = f"{path}: columns {','.join(columns[:12])}"
+    where = f"{path}: columns {','.join(name[:40] for name in columns[:12])}"
     missing = [name for name in _ANGLES if name not in columns]
     if missing:
         raise InputError(f"{where}: {', '.join(missing)} missing; angles are wanted in degrees")
@@ -184,13 +184,16 @@ def _channels(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
         channels and all(re.fullmatch(r"[\d.]+nm", name) for name in channels)
     )
     if not known:
+        names = ", ".join(name[:40] or "(no name)" for name in channels[:12])
         raise InputError(
-            f"{where}: value columns {', '.join(c or '(no name)' for c in channels) or '(none)'}; "
+            f"{where}: value columns {names or '(none)'}; "
             "X,Y,Z or R,G,B or bands as 550nm were wanted"
         )
     spread = [name for name in columns if name[:4] == "std_"]
     if spread and set(spread) != {f"std_{channel}" for channel in channels}:
-        raise InputError(f"{where}: {', '.join(spread)} do not match the channels; one for each")
+        raise InputError(
+            f"{where}: {', '.join(spread[:12])} do not match the channels; one for each"
+        )
     return channels
 
 

@@ -8,6 +8,7 @@ and numbers are made of is the same in all of them.
 from __future__ import annotations
 
 import codecs
+import gzip
 import re
 import zlib
 from dataclasses import dataclass
@@ -19,8 +20,8 @@ HEAD_BYTES = 65_536
 UTF_8 = "UTF-8"
 
 _GZIP = b"\x1f\x8b\x08"
-_GZIP_WBITS = 31
 _MAX_EXPANSION = 200  # tables of numbers shrink to between a half and a twentieth
+_CHUNK_BYTES = 1 << 20
 _SMALL_BYTES = 50_000_000  # so much may come of any gzip file
 _UTF_16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 
@@ -50,12 +51,7 @@ def read_head(path: Path, wanted: str) -> bytes:
             head = file.read(HEAD_BYTES)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; {wanted} was wanted") from None
-    if not head.startswith(_GZIP):
-        return head
-    try:
-        return zlib.decompressobj(_GZIP_WBITS).decompress(head, HEAD_BYTES)
-    except zlib.error as error:
-        raise _damaged(path, error) from None
+    return _unpacked(path, HEAD_BYTES) if head.startswith(_GZIP) else head
 
 
 def head_text(head: bytes) -> str:
@@ -79,7 +75,16 @@ def read_content(path: Path, limit: int) -> bytes:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; a text file was wanted") from None
-    return _unpacked(path, data, limit) if data.startswith(_GZIP) else data
+    if not data.startswith(_GZIP):
+        return data
+    most = min(limit, max(_SMALL_BYTES, _MAX_EXPANSION * size))
+    unpacked = _unpacked(path, most + 1)
+    if len(unpacked) > most:
+        raise InputError(
+            f"{path}: a gzip file of {_bytes(size)}; expected at most {_bytes(most)} in it, "
+            "got more"
+        )
+    return unpacked
 
 
 def read_text(path: Path, limit: int) -> TextFile:
@@ -109,26 +114,20 @@ def _line_feeds(text: str) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 
 
-def _unpacked(path: Path, data: bytes, limit: int) -> bytes:
-    """The members of a gzip file, one after the other."""
-    allowed = min(limit, max(_SMALL_BYTES, _MAX_EXPANSION * len(data)))
-    parts, size = [], 0
-    while data.rstrip(b"\0"):  # a file may be padded with zeros
-        member = zlib.decompressobj(_GZIP_WBITS)
-        try:
-            part = member.decompress(data, allowed - size + 1)
-        except zlib.error as error:
-            raise _damaged(path, error) from None
-        size += len(part)
-        if size > allowed:
-            raise InputError(
-                f"{path}: a gzip file of {_bytes(len(path.read_bytes()))}; expected at most "
-                f"{_bytes(allowed)} in it, got more"
-            )
-        if not member.eof:
-            raise InputError(f"{path}: the gzip file is truncated; expected the whole file")
-        parts.append(part)
-        data = member.unused_data
+def _unpacked(path: Path, most: int) -> bytes:
+    """The first bytes, at most so many, of what a gzip file holds in all its members."""
+    parts, left = [], most
+    try:
+        with gzip.open(path) as file:
+            while left and (part := file.read(min(left, _CHUNK_BYTES))):
+                parts.append(part)
+                left -= len(part)
+    except EOFError:
+        raise InputError(f"{path}: the gzip file is truncated; expected the whole file") from None
+    except (zlib.error, gzip.BadGzipFile) as error:
+        raise InputError(
+            f"{path}: expected a whole gzip file, got a damaged one ({error})"
+        ) from None
     return b"".join(parts)
 
 
@@ -177,10 +176,6 @@ def _undecodable(
         f"{path}: line {line}: byte 0x{data[error.start]:02x} is not UTF-8, and the file is not "
         "clearly Shift-JIS or Windows-1252; save it as UTF-8"
     )
-
-
-def _damaged(path: Path, error: zlib.error) -> InputError:
-    return InputError(f"{path}: expected a whole gzip file, got a damaged one ({error})")
 
 
 def _bytes(size: int) -> str:
