@@ -20,7 +20,7 @@ HEAD_BYTES = 65_536
 UTF_8 = "UTF-8"
 
 _GZIP = b"\x1f\x8b\x08"
-_MAX_EXPANSION = 200  # tables of numbers shrink to between a half and a twentieth
+_MAX_EXPANSION = 60  # tables of numbers shrink to between a half and a twentieth
 _CHUNK_BYTES = 1 << 20
 _SMALL_BYTES = 50_000_000  # so much may come of any gzip file
 _UTF_16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
