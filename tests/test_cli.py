@@ -47,6 +47,26 @@ def test_info_of_both_kinds(shell: Path) -> None:
     assert "12615 readings: RMS 0.00000" in model
 
 
+def test_a_spreadsheets_table_is_read_with_a_word(tmp_path: Path) -> None:
+    table = tmp_path / "shell.csv"
+    text = "# material: 夜光貝\nIncidence (deg);Receiving (deg);Tilt (deg);X;Y;Z\n1;2;0;1,5;2;3\n"
+    table.write_bytes(text.encode("cp932"))
+    done = raden("info", table, warn="default")
+    assert "measurement of 夜光貝" in done.stdout
+    assert done.stderr == (
+        f"raden: warning: {table}: read as Shift-JIS, semicolon-separated with decimal commas, "
+        "columns Incidence (deg), Receiving (deg), Tilt (deg) as incidence_deg, receiving_deg, "
+        "tilt_deg\n"
+    )
+    table.write_text(text.replace("2;3", "2.0;3"), encoding="utf-8")
+    done = raden("info", table, warn="default")
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"raden: {table}: line 3, column X: '1,5' has a decimal comma, '2.0' in line 3, column Y "
+        "a decimal point; expected one kind\n"
+    )
+
+
 @pytest.mark.slow
 def test_render_takes_light_and_camera(shell: Path) -> None:
     pictures = []

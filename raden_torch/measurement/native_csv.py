@@ -10,14 +10,17 @@ Rows in any order, gaps allowed. Optional columns: `azimuth_deg`, `std_<channel>
 (0 or 1). An empty or `nan` value is a reading without a value. `readings`, where it is given, must
 be the number of rows: that is how a file cut at the end of a line is noticed. The entries
 of `CommonErrors` (`scale_std` and others) may be missing.
+
+So it is written, in UTF-8. It is read as spreadsheets save it, too: `csv_table` and `text_file` say
+which encodings, separators, decimal commas and column names are taken; a warning says what was.
 """
 
 from __future__ import annotations
 
-import io
 import os
 import re
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +28,7 @@ import numpy as np
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
 from raden_torch.measurement import common_errors
+from raden_torch.measurement.csv_table import CsvTable, find_heading, open_table
 from raden_torch.measurement.readings import BrdfMeasurement, Floats, Metadata
 
 MAX_BYTES = 2_000_000_000
@@ -37,22 +41,17 @@ _OWN_KEYS = (
 _QUARTER_TURN_RAD = 1.6
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Header:
-    entries: dict[str, str] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    columns: list[str] = field(default_factory=list)
-    lines: int = 0  # how many lines stand before the first row
+    entries: dict[str, str]
+    notes: tuple[str, ...]
 
 
-def recognises(head: bytes) -> bool:
-    """True where the first bytes look like this format, or like an attempt at it."""
-    if b"\0" in head:
-        return False
-    for line in head.decode("utf-8", "replace").lstrip("\ufeff").splitlines():
-        if line.strip() and not line.lstrip().startswith("#"):
-            return bool(re.search(r"incidence|receiving|tilt", line)) and "," in line
-    return False
+def recognises(head: str) -> bool:
+    """True where a text begins like this format, or like an attempt at it."""
+    names = re.split(r"[,;\t]", find_heading(head).names)
+    angle = re.compile(r'[\s"]*(incidence|receiving|tilt)', re.IGNORECASE)
+    return len(names) > 1 and any(angle.match(name) for name in names)
 
 
 def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
@@ -62,16 +61,14 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
         InputError: one line that names the file, the line and column, and what would be right.
     """
     path = Path(path)
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise InputError(f"{path}: {size / 1e9:.1f} GB; at most {MAX_BYTES / 1e9:g} GB are read")
-    text = _decoded(path)
-    lines = text.split("\n")
-    header = _read_header(path, lines)
-    _check_claimed_rows(path, header, size)
-    channels = _channels(path, header.columns)
-    table = _read_rows(path, header, lines)
-    columns = dict(zip(header.columns, table.T, strict=True))
+    file = open_table(path, MAX_BYTES, _ANGLES)
+    header = _read_header(file.comments)
+    _check_claimed_rows(file, header)
+    channels = _channels(path, file.columns)
+    spread = [name for name in file.columns if name[:4] == "std_"]
+    table = file.numbers(may_be_empty={*channels, *spread, "azimuth_deg"})
+    _check_rows(path, header, len(table))
+    columns = dict(zip(file.columns, table.T, strict=True))
     _check_degrees(path, header, columns)
     std = [columns.get(f"std_{channel}") for channel in channels]
     count = _whole_numbers(path, columns, "count")
@@ -136,57 +133,49 @@ def _one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _decoded(path: Path) -> str:
-    data = path.read_bytes()
-    try:
-        return data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            f"{path}: line {line}: byte 0x{data[error.start]:02x} is not UTF-8; save it as UTF-8"
-        ) from None
+def _read_header(comments: Sequence[str]) -> _Header:
+    entries, notes = {}, []
+    for text in comments:
+        key, colon, value = text.partition(":")
+        if colon and re.fullmatch(r"[\w .-]+", key):
+            entries[key.strip()] = value.strip()
+        else:
+            notes.append(text)
+    return _Header(entries, tuple(notes))
 
 
-def _read_header(path: Path, lines: list[str]) -> _Header:
-    header = _Header()
-    for number, line in enumerate(lines):
-        line = line.strip()
-        if line.startswith("#"):
-            key, colon, value = line[1:].strip().partition(":")
-            if colon and re.fullmatch(r"[\w .-]+", key):
-                header.entries[key.strip()] = value.strip()
-            elif line[1:].strip():
-                header.notes.append(line[1:].strip())
-        elif line:
-            header.columns = [name.strip() for name in line.split(",")]
-            header.lines = number + 1
-            break
-    if not header.columns:
-        raise InputError(f"{path}: it is empty; columns {','.join(_ANGLES)},X,Y,Z were wanted")
-    return header
-
-
-def _check_claimed_rows(path: Path, header: _Header, size: int) -> None:
+def _check_claimed_rows(file: CsvTable, header: _Header) -> None:
+    """Refuse a claim that the file cannot hold, before its rows are read."""
     claimed = header.entries.get("readings")
     if claimed is None:
         return
-    if not claimed.isdigit():
-        raise InputError(f"{path}: header: readings = {claimed!r} is not a whole number")
-    least = 2 * len(header.columns)  # a digit and a comma or line end each
-    if int(claimed) * least > size + 1:
+    if not re.fullmatch("[0-9]{1,18}", claimed):
+        raise InputError(f"{file.path}: header: readings = {claimed[:40]!r} is not a whole number")
+    least = 2 * len(file.columns)  # a digit and a separator or line end each
+    if int(claimed) * least > len(file.body) + 1:
         raise InputError(
-            f"{path}: header claims {claimed} readings, more than its {size} bytes can hold; "
+            f"{file.path}: header claims {claimed} readings, more than its "
+            f"{len(file.body)} characters of rows can hold; "
             "the file is truncated or the header is wrong"
         )
 
 
-def _channels(path: Path, columns: list[str]) -> tuple[str, ...]:
-    where = f"{path}: columns {','.join(columns[:12])}"
+def _check_rows(path: Path, header: _Header, rows: int) -> None:
+    if not rows:
+        raise InputError(f"{path}: it has no readings below its column names")
+    claimed = header.entries.get("readings")
+    if claimed is not None and int(claimed) != rows:
+        raise InputError(
+            f"{path}: header says {claimed} readings, {rows} are there; "
+            "the file is truncated, or `readings` was not kept up"
+        )
+
+
+def _channels(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
+    where = f"{path}: columns {','.join(name[:40] for name in columns[:12])}"
     missing = [name for name in _ANGLES if name not in columns]
     if missing:
         raise InputError(f"{where}: {', '.join(missing)} missing; angles are wanted in degrees")
-    if len(set(columns)) != len(columns):
-        raise InputError(f"{where}: a column occurs twice")
     optional = {"azimuth_deg", "count", "valid"}
     channels = tuple(
         name for name in columns if name not in {*_ANGLES, *optional} and name[:4] != "std_"
@@ -195,71 +184,17 @@ def _channels(path: Path, columns: list[str]) -> tuple[str, ...]:
         channels and all(re.fullmatch(r"[\d.]+nm", name) for name in channels)
     )
     if not known:
+        names = ", ".join(name[:40] or "(no name)" for name in channels[:12])
         raise InputError(
-            f"{where}: value columns {', '.join(channels) or '(none)'}; "
+            f"{where}: value columns {names or '(none)'}; "
             "X,Y,Z or R,G,B or bands as 550nm were wanted"
         )
     spread = [name for name in columns if name[:4] == "std_"]
     if spread and set(spread) != {f"std_{channel}" for channel in channels}:
-        raise InputError(f"{where}: {', '.join(spread)} do not match the channels; one for each")
+        raise InputError(
+            f"{where}: {', '.join(spread[:12])} do not match the channels; one for each"
+        )
     return channels
-
-
-def _read_rows(path: Path, header: _Header, lines: list[str]) -> Floats:
-    body = "\n".join(lines[header.lines :])
-    if not body.strip():
-        raise InputError(f"{path}: it has no readings below its column names")
-    try:
-        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, comments="#")
-    except ValueError:
-        table = _read_rows_slowly(path, header, lines)
-    if table.shape[1] != len(header.columns):
-        table = _read_rows_slowly(path, header, lines)
-    claimed = header.entries.get("readings")
-    if claimed is not None and int(claimed) != len(table):
-        raise InputError(
-            f"{path}: header says {claimed} readings, {len(table)} are there; "
-            "the file is truncated, or `readings` was not kept up"
-        )
-    return table
-
-
-def _read_rows_slowly(path: Path, header: _Header, lines: list[str]) -> Floats:
-    """Row by row: accepts empty values, and finds the line and column of what is wrong."""
-    rows = []
-    last = max(i for i, line in enumerate(lines) if line.strip())
-    for number in range(header.lines, len(lines)):
-        line = lines[number].split("#")[0].strip()
-        if not line:
-            continue
-        cells = line.split(",")
-        if len(cells) != len(header.columns):
-            end = "; the file is truncated" if number == last and len(lines) == last + 1 else ""
-            raise InputError(
-                f"{path}: line {number + 1}: {len(cells)} values, "
-                f"{len(header.columns)} were wanted{end}"
-            )
-        rows.append(
-            [
-                _cell(path, number, name, cell)
-                for name, cell in zip(header.columns, cells, strict=True)
-            ]
-        )
-    if not rows:
-        raise InputError(f"{path}: it has no readings below its column names")
-    return np.array(rows, np.float64)
-
-
-def _cell(path: Path, number: int, column: str, cell: str) -> float:
-    cell = cell.strip()
-    if not cell and column not in (*_ANGLES, "count", "valid"):
-        return float("nan")
-    try:
-        return float(cell)
-    except ValueError:
-        raise InputError(
-            f"{path}: line {number + 1}, column {column}: {cell!r} is not a number"
-        ) from None
 
 
 def _check_degrees(path: Path, header: _Header, columns: dict[str, Floats]) -> None:
@@ -295,7 +230,7 @@ def _metadata(path: Path, header: _Header) -> Metadata:
     if simulated not in ("true", "false"):
         raise InputError(f"{path}: header: simulated = {simulated!r}; true or false was wanted")
     quantity = entries.get("quantity", "")
-    scale = re.search(r"=\s*([\d.]+)", quantity)
+    scale = re.search(r"=\s*([0-9]+(?:\.[0-9]+)?)", quantity)
     if scale and float(scale[1]) != 100:
         raise InputError(
             f"{path}: header: the perfect reflecting diffuser is {scale[1]}; 100 is wanted "
@@ -312,5 +247,5 @@ def _metadata(path: Path, header: _Header) -> Metadata:
         simulated=simulated == "true",
         common=common_errors.CommonErrors.from_entries(entries),
         other=tuple((k, v) for k, v in entries.items() if k not in _OWN_KEYS),
-        notes=tuple(header.notes),
+        notes=header.notes,
     )

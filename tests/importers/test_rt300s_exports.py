@@ -107,6 +107,7 @@ def test_angles_and_values_are_the_instruments(tmp_path: Path, text: str, ends: 
         ("30\t60\t-1\n\t\t\n", "", r"header claims 3 rows, 3 lines follow|line 14: 0 numbers"),
         ("Phi measure step :\t10", "Phi measure step :\t0", "line 8: Phi from -90 to -80 by 0"),
         ("step :\t30", "step :\t1e-9", "line 5: Theta from -30 to 30 by 1e-09 is no row of"),
+        ("step :\t30", "step :\t1e-320", "line 5: Theta from -30 to 30 by .* is no row of"),
         ("Theta measure step :\t30\t\n", "", "from line 1: no 'Theta measure step :' before"),
         ("Intensity BRDF", "Intensity BTDF", "line 3: 'Intensity BTDF'; 'Intensity BRDF' was"),
         ("Theta Lighting\t30\n", "", "line 11: .*; a 'key : value' line or 'Theta Lighting'"),

@@ -140,8 +140,11 @@ def test_a_list_of_cells_may_be_a_measurement(tmp_path: Path) -> None:
         ("", r"columns incidence_deg,receiving_deg,tilt_deg were wanted"),
         ("a,b,c\n1,2,3\n", r"columns incidence_deg,receiving_deg,tilt_deg were wanted"),
         ("incidence_deg,receiving_deg,tilt_deg\n", "lists no cells"),
-        ("incidence_deg,receiving_deg,tilt_deg\n1,2\n", "line 2: three angles"),
-        ("incidence_deg,receiving_deg,tilt_deg\n1,2,3\n\n1,x,3\n", "line 4: three angles"),
+        ("incidence_deg,receiving_deg,tilt_deg\n1,2\n", "line 2: 2 values, 3 were wanted"),
+        (
+            "incidence_deg,receiving_deg,tilt_deg\n1,2,3\n\n1,x,3\n",
+            "line 4, column receiving_deg: 'x'",
+        ),
         ("incidence_deg,receiving_deg,tilt_deg\n1,2,nan\n", "cell 1 is"),
         ("incidence_deg,receiving_deg,tilt_deg\n1,2,3\n-1,2,3\n", "cell 2 is"),
         ("incidence_deg,receiving_deg,tilt_deg\n1,90,3\n", "cell 1 is"),

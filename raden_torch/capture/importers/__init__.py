@@ -15,13 +15,15 @@ from raden_torch.capture.importers import (
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, native_csv
+from raden_torch.measurement.text_file import head_text, read_head
 
-_FORMATS = (native_csv, rt300s, zemax_bsdf, fred, lighttools, speos, astm_e1392)
-_HEAD_BYTES = 65_536
+_TEXT_FORMATS = (native_csv, zemax_bsdf, fred, lighttools, speos, astm_e1392)
 
 
 def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
     """Read a measurement file; its format is found from its content, not from its name.
+
+    The file may be packed (gzip), and text in UTF-8, UTF-16, Shift-JIS or Windows-1252.
 
     Formats (each module says what its format holds and what it cannot hold):
 
@@ -36,15 +38,14 @@ def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
             names the file, the line and column, and what would be right.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; a measurement file was wanted") from None
+    head = read_head(path, "a measurement file")
     if not head.strip():
         raise InputError(f"{path}: it is empty; a measurement file was wanted")
-    for fmt in _FORMATS:
-        if fmt.recognises(head):
+    if rt300s.recognises(head):
+        return rt300s.read(path)
+    text = head_text(head)
+    for fmt in _TEXT_FORMATS:
+        if fmt.recognises(text):
             return fmt.read(path)
     raise InputError(
         f"{path}: no known measurement format; a CSV with the columns "

@@ -63,7 +63,7 @@ class _Header:
     lines: int = 0  # how many lines stand before the first reading
 
 
-def recognises(head: bytes) -> bool:
+def recognises(head: str) -> bool:
     """True where keywords stand first and a VARS line, or others of this form, follow."""
     lines = first_lines(head)
     if not lines or not _KEYWORD.match(lines[0]):

@@ -46,7 +46,7 @@ _COLUMNS = ("polar angle", "azimuth", "bsdf")
 _LARGEST_DEG = 360.0
 
 
-def recognises(head: bytes) -> bool:
+def recognises(head: str) -> bool:
     """True where the first line is `type bsdf_data`."""
     lines = first_lines(head, 1)
     return bool(lines) and bool(re.fullmatch(r"type\s+bsdf_data", lines[0], re.IGNORECASE))

@@ -58,7 +58,7 @@ class _Block:
         entries = [self.value(f"{name} measure {part}") for part in ("beginning", "end", "step")]
         begin, end, step = (number(self.path, at, 2, text) for at, text in entries)
         count = (end - begin) / step + 1 if step else 0.0
-        if not 1 <= round(count) <= _MAX_STEPS or abs(count - round(count)) > 1e-6:
+        if not 0.5 < count < _MAX_STEPS + 0.5 or abs(count - round(count)) > 1e-6:
             raise InputError(
                 f"{self.path}: line {entries[0][0]}: {name} from {begin:g} to {end:g} by {step:g} "
                 f"is no row of 1…{_MAX_STEPS} angles"
@@ -71,7 +71,7 @@ class _Block:
         return [begin + i * step for i in range(round(count))]
 
 
-def recognises(head: bytes) -> bool:
+def recognises(head: str) -> bool:
     """True where the first lines are those of the export's header."""
     lines = first_lines(head, 12)
     return bool(lines) and lines[0].startswith(_FIRST_KEY)

@@ -33,6 +33,7 @@ from raden_torch.capture.importers.text import shown
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import WHITE_LEVEL, XYZ, Floats
+from raden_torch.measurement.text_file import read_content
 
 MAX_BYTES = 64_000_000
 
@@ -99,10 +100,7 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
 def _workbook(path: Path) -> Any:
     import xlrd
 
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise InputError(f"{path}: {size / 1e6:.0f} MB; at most {MAX_BYTES / 1e6:g} MB are read")
-    data = path.read_bytes()
+    data = read_content(path, MAX_BYTES)
     _check_sectors(path, data)
     try:
         # ragged rows: a cell far out in a sheet does not fill memory up to it

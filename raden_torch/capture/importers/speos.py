@@ -52,7 +52,7 @@ _SPECTRUM = "Reflection Spectrum"
 _MAX_WAVELENGTHS = 10_000
 
 
-def recognises(head: bytes) -> bool:
+def recognises(head: str) -> bool:
     """True where the first line is the format's title, of any version."""
     lines = first_lines(head, 1)
     return bool(lines) and lines[0].startswith(_TITLE)

@@ -4,42 +4,33 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from pathlib import Path
 
 from raden_torch.errors import InputError
+from raden_torch.measurement.text_file import UTF_8, read_text
 
 MAX_BYTES = 100_000_000
 """Larger text files are refused before they are read."""
 
 
-def first_lines(head: bytes, count: int = 40) -> list[str]:
-    """The first lines of a file that hold anything; none where it is not text."""
-    if b"\0" in head:
-        return []
-    lines = re.split(r"\r\n|\r|\n", head.decode("utf-8", "replace").lstrip("\ufeff"))
-    return [line.strip() for line in lines if line.strip()][:count]
+def first_lines(head: str, count: int = 40) -> list[str]:
+    """The first lines of a text that hold anything."""
+    return [line.strip() for line in head.split("\n") if line.strip()][:count]
 
 
 def read_lines(path: Path) -> list[str]:
-    """The lines of a UTF-8 text file, whatever ends them (LF, CR LF or CR).
+    """The lines of a text file, whatever ends them (LF, CR LF or CR).
+
+    A warning says where the encoding was not UTF-8.
 
     Raises:
-        InputError: the file is too large, or holds bytes that are not UTF-8.
+        InputError: the file is too large, or no text (`measurement.text_file`).
     """
-    size = path.stat().st_size
-    if size > MAX_BYTES:
-        raise InputError(f"{path}: {size / 1e6:.0f} MB; at most {MAX_BYTES / 1e6:g} MB are read")
-    data = path.read_bytes()
-    try:
-        text = data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        before = data[: error.start].replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-        line = before.count(b"\n") + 1
-        raise InputError(
-            f"{path}: line {line}: byte 0x{data[error.start]:02x} is not UTF-8; "
-            "this format is read as UTF-8 (or ASCII), save it so"
-        ) from None
-    return re.split(r"\r\n|\r|\n", text)
+    file = read_text(path, MAX_BYTES)
+    if file.encoding != UTF_8:
+        warnings.warn(f"{path}: read as {file.encoding}", stacklevel=4)
+    return file.text.split("\n")
 
 
 def number(path: Path, line: int, column: int | str, text: str) -> float:

@@ -105,7 +105,7 @@ class _Lines:
         return line, [number(self.path, line, c, cell) for c, cell in enumerate(cells, 1)]
 
 
-def recognises(head: bytes) -> bool:
+def recognises(head: str) -> bool:
     """True where a keyword of the header stands first, after comments."""
     lines = [line for line in first_lines(head, 10_000) if not line.startswith("#")][:4]
     starts = r"Source\s+Measured|Symmetry\s+A?(Plane)?Symmetrical(4D)?|SpectralContent\s+\w+"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from raden_torch.capture.spectrometer.ports import Floats, Position
 from raden_torch.errors import InputError
+from raden_torch.measurement.csv_table import open_table
 
 MAX_ANGLE_DEG = 70.0
 MAX_CELLS = 1_000_000
@@ -70,32 +70,17 @@ def list_cells(path: str | os.PathLike[str]) -> Floats:
     """`[M, 3]` the cells of a CSV file with columns incidence_deg, receiving_deg and tilt_deg.
 
     Further columns, and lines that begin with #, are passed over: a measurement is a list, too.
+    Separators, encodings and names are those of `measurement.csv_table`.
 
     Raises:
-        InputError: one line that names the file and line.
+        InputError: one line that names the file, the line and the column.
     """
     path = Path(path)
-    if path.stat().st_size > _MAX_LIST_BYTES:
-        raise InputError(f"{path}: over {_MAX_LIST_BYTES // 1_000_000} MB; a list of cells wanted")
-    try:
-        lines = path.read_text("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
-        raise InputError(f"{path}: is not UTF-8 text; a CSV file was wanted") from None
-    numbered = [
-        (i, line) for i, line in enumerate(lines, 1) if line.strip() and line.lstrip()[0] != "#"
-    ]
-    rows = csv.reader(line for _, line in numbered)
-    columns = [name.strip() for name in next(rows, [])]
-    if not set(_ANGLES) <= set(columns):
+    table = open_table(path, _MAX_LIST_BYTES, _ANGLES)
+    if not {*_ANGLES} <= {*table.columns}:
         raise InputError(f"{path}: columns {','.join(_ANGLES)} were wanted in its first line")
-    places = [columns.index(name) for name in _ANGLES]
-    cells = []
-    for (line, _), row in zip(numbered[1:], rows, strict=False):
-        try:
-            cells.append([float(row[place]) for place in places])
-        except (ValueError, IndexError):
-            raise InputError(f"{path}: line {line}: three angles in degrees were wanted") from None
-    if not cells:
+    cells = table.numbers(_ANGLES)
+    if not len(cells):
         raise InputError(f"{path}: it lists no cells")
     return checked_cells(cells, str(path))
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, native_csv
-
-_HEAD_BYTES = 65_536
+from raden_torch.measurement.text_file import head_text, read_head
 
 
 def load_csv(path: str | os.PathLike[str]) -> BrdfMeasurement:
@@ -18,12 +17,7 @@ def load_csv(path: str | os.PathLike[str]) -> BrdfMeasurement:
         InputError: it is missing, another format, or wrong in itself.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; a measurement CSV was wanted") from None
-    if not native_csv.recognises(head):
+    if not native_csv.recognises(head_text(read_head(path, "a measurement CSV"))):
         raise InputError(
             f"{path}: not the project's CSV; load it with raden_torch.load_measurement and save it"
         )

@@ -84,13 +84,10 @@ def material_of(name: str) -> Material:
             f"simulated shell {name}, trilinear between nodes {_SHELL_STEP_DEG:g} degrees apart"
         )
         return Material(name, None, _shell(name), source)
-    if Path(name).suffix.lower() != ".csv":
+    if not name.lower().endswith((".csv", ".csv.gz")):
         known = ", ".join([*PLUGINS, *SPECIMENS])
         raise InputError(f"material {name!r}: {known}, or a measurement (.csv) was wanted")
-    try:
-        measured = native_csv.read(name)
-    except OSError as error:
-        raise InputError(f"{name}: {error.strerror}; a measurement was wanted") from None
+    measured = native_csv.read(name)
     source = f"{Path(name).name}, trilinear between its nodes"
     return Material(Path(name).stem, None, table_of(measured, name), source)
 
