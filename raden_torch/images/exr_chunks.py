@@ -57,6 +57,11 @@ class Chunks:
         return self._window(b"dataWindow")
 
     @property
+    def display(self) -> Window:
+        """The display window."""
+        return self._window(b"displayWindow")
+
+    @property
     def tile(self) -> tuple[int, int] | None:
         """Width and height of the tiles, or None for scan lines."""
         if not self._is_tiled():
@@ -88,6 +93,17 @@ class Chunks:
             found[name.decode()] = np.dtype(_TYPES[struct.unpack_from("<i", rest)[0]])
             data = rest[16:]
         return found
+
+    def check_whole(self) -> None:
+        """Raise InputError where the table leads beyond the file, or not to the last chunk."""
+        _, top, _, bottom = self.window
+        end = os.stat(self.path).st_size
+        if len(self.offsets) and not 0 < self.offsets.min() <= self.offsets.max() < end:
+            raise self._damaged("pixels are missing")
+        last = top + (int(self.offsets.argmax()) // self.across) * self.lines
+        with open(self.path, "rb") as file:
+            for _ in self._chunks(file, last, min(bottom, last + self.lines - 1)):
+                pass
 
     def copied(self, to: BinaryIO, top: int, bottom: int, held: tuple[int, int]) -> None:
         """Write a file whose display window is the rows top…bottom, with the chunks that hold the

@@ -20,6 +20,11 @@ _FORMATS = (native_csv, rt300s, zemax_bsdf, fred, lighttools, speos, astm_e1392)
 _HEAD_BYTES = 65_536
 
 
+def recognises(head: bytes) -> bool:
+    """Whether a file that begins with these bytes is of a format that `load_measurement` reads."""
+    return any(fmt.recognises(head) for fmt in _FORMATS)
+
+
 def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
     """Read a measurement file; its format is found from its content, not from its name.
 

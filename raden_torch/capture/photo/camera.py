@@ -180,7 +180,7 @@ def read_camera(path: str | os.PathLike[str]) -> Camera:
     Raises:
         InputError: not such a file, or numbers that are no camera's.
     """
-    if Path(path).suffix.lower() in (".yml", ".yaml", ".xml"):
+    if _is_opencv(Path(path)):
         camera = _opencv_camera(path)
     else:
         found = read_result(
@@ -274,6 +274,16 @@ def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
     except (TypeError, KeyError, ValueError) as error:
         raise InputError(f"{path}: its board or poses are damaged ({error!r})") from None
     return board, poses
+
+
+def _is_opencv(path: Path) -> bool:
+    """By its name, or by how YAML and XML begin."""
+    if path.suffix.lower() in (".yml", ".yaml", ".xml"):
+        return True
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(5) in (b"%YAML", b"<?xml")
 
 
 def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
