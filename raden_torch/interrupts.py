@@ -36,10 +36,7 @@ def signals_interrupt() -> Iterator[None]:
             raised_at, raised = now, number
             raise Interrupted(number)
 
-    numbers = [
-        getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-    ]
-    before = {number: signal.getsignal(number) for number in numbers}
+    before = {number: signal.getsignal(number) for number in _numbers()}
     caught = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
     try:
         for number in caught:
@@ -52,3 +49,14 @@ def signals_interrupt() -> Iterator[None]:
     finally:
         for number, handler in caught.items():
             signal.signal(number, handler)
+
+
+def ignore_signals() -> None:
+    """For the end of a process, when the work is done and what is left takes a moment."""
+    for number in _numbers():
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _numbers() -> list[int]:
+    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
+    return [getattr(signal, name) for name in names if hasattr(signal, name)]

@@ -85,7 +85,7 @@ def test_a_library_call_leaves_the_older_file(
 @pytest.fixture(scope="module")
 def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("inputs")
-    measurement = rt.simulate_specimen("yakogai", step_deg=10.0)
+    measurement = rt.simulate_specimen("yakogai")
     measurement.save(folder / "shell.csv")
     rt.save_model(rt.fit(measurement, interpolation="trilinear").model, folder / "m.safetensors")
     return folder

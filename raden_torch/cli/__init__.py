@@ -20,7 +20,7 @@ try:
 except KeyboardInterrupt:  # while the command starts
     sys.exit(128 + signal.SIGINT)
 from raden_torch.errors import InputError
-from raden_torch.interrupts import Interrupted, signals_interrupt
+from raden_torch.interrupts import Interrupted, ignore_signals, signals_interrupt
 
 
 def main() -> None:
@@ -42,9 +42,7 @@ def main() -> None:
     except MemoryError:
         _fail("not enough memory; use a smaller --size")
     finally:
-        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            # the work is done: Ctrl-C ends what is left, without a traceback
-            atexit.register(signal.signal, signal.SIGINT, signal.SIG_DFL)
+        atexit.register(ignore_signals)
 
 
 def _print_warning(message: Warning | str, *_: object, **__: object) -> None:
