@@ -222,13 +222,7 @@ def chunks_of(path: str | os.PathLike[str]) -> list[Chunks]:
         parts = []
         for number, header in enumerate(headers):
             part = Chunks(path, version, number if multi else None, header, np.empty(0, np.uint64))
-            if not part.tile and part.compression >= len(LINES):
-                raise InputError(
-                    f"{path}: compression number {part.compression}, which cannot be read by rows; "
-                    "write it with ZIP"
-                )
-            _, top, _, bottom = part.window
-            count = -(-(bottom - top + 1) // part.lines) * part.across
+            count = _chunk_count(part)
             listed = int.from_bytes(header[b"chunkCount"][2], "little") if multi else count
             left = os.fstat(file.fileno()).st_size - file.tell()
             if 8 * listed > left or listed < count:
@@ -238,6 +232,27 @@ def chunks_of(path: str | os.PathLike[str]) -> list[Chunks]:
             table = np.frombuffer(file.read(8 * listed), "<u8")
             parts.append(replace(part, offsets=table[:count]))
     return parts
+
+
+def _chunk_count(part: Chunks) -> int:
+    """Of the largest level, by the header, all of which is looked at here.
+
+    Raises:
+        InputError: damaged, or a compression that is not in `LINES`.
+    """
+    try:
+        if not part.tile and part.compression >= len(LINES):
+            raise InputError(
+                f"{part.path}: compression number {part.compression}, which cannot be read by "
+                "rows; write it with ZIP"
+            )
+        (_, top, _, bottom), _, channels = part.window, part.display, part.channels
+        count = -(-(bottom - top + 1) // part.lines) * part.across
+    except (struct.error, ZeroDivisionError, LookupError, UnicodeDecodeError):
+        channels, count = {}, 0
+    if not channels or count < 1:
+        raise InputError(f"{part.path}: truncated or damaged (its header is not whole)")
+    return count
 
 
 def _attributes(file: BinaryIO) -> Iterable[Attribute]:

@@ -67,7 +67,12 @@ def _lights(path: Path) -> str:
         f"lights: {len(lamps)} lamps ({where}), written by `raden capture lights`",
         f"camera's response: exponent {lamps.exponent:g}; balls: {len(found.get('balls', ()))}",
     ]
-    return "\n".join([*head, str(lamps), *_notes(found)])
+    places = [] if lamps.position is None else lamps.position.tolist()
+    at = [
+        f"{name}: at {', '.join(f'{c:.4g}' for c in place)} {lamps.unit}"
+        for name, place in zip(lamps.names, places, strict=False)
+    ]
+    return "\n".join([*head, str(lamps), *at, *_notes(found)])
 
 
 def _colour(path: Path) -> str:

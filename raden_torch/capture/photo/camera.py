@@ -300,6 +300,8 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
             file.getNode(name).mat() for name in ("camera_matrix", "distortion_coefficients")
         )
         width, height = (file.getNode(f"image_{side}").real() for side in ("width", "height"))
+    except cv2.error:
+        raise InputError(f"{path}: damaged; a whole OpenCV calibration was wanted") from None
     finally:
         file.release()
     if matrix is None or matrix.shape != (3, 3) or distortion is None:
