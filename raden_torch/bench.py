@@ -57,6 +57,10 @@ _LIGHT = (1.0, 1.0, 2.0)
 Shader = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
+OUTPUTS = ("bench.json", "time_against_error.png")
+"""What `run_bench` writes into its folder."""
+
+
 @dataclass(frozen=True)
 class Row:
     """One interpolator in one backend.
@@ -150,10 +154,11 @@ def run_bench(
         },
     }
     out.mkdir(parents=True, exist_ok=True)
-    with written_beside(out / "bench.json") as temporary:
+    figures, picture = (out / name for name in OUTPUTS)
+    with written_beside(figures) as temporary:
         temporary.write_text(json.dumps(about, indent=2) + "\n", "utf-8")
-    _plot(rows, chosen, measurement, out / "time_against_error.png")
-    return out / "time_against_error.png"
+    _plot(rows, chosen, measurement, picture)
+    return picture
 
 
 def simulated_pair() -> tuple[BrdfMeasurement, BrdfMeasurement]:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from secrets import token_hex
 
 from raden_torch.errors import InputError
 
@@ -15,13 +15,20 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     """The path, if a file can be written there; called early, so that no work is lost.
 
     Raises:
-        InputError: the folder does not exist, or ``path`` is a folder.
+        InputError: the folder does not exist or is closed to us; ``path`` is a folder, a device or
+            a pipe, write-protected, or a link that leads nowhere.
     """
     target = Path(path)
     if target.is_dir():
         raise InputError(f"{target}: is a folder; name the file to write")
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: the folder {target.parent} does not exist; create it first")
+    real = _behind_links(target)
+    if not real.parent.is_dir():
+        raise InputError(f"{target}: the folder {real.parent} does not exist; create it first")
+    if real.exists() and not real.is_file():
+        raise InputError(f"{target}: expected a file to write, got a device or a pipe")
+    for place in (real.parent, real):
+        if place.exists() and not os.access(place, os.W_OK):
+            raise InputError(f"{target}: expected a place to write, got {place}, write-protected")
     return target
 
 
@@ -40,7 +47,7 @@ def check_output(
         inputs: the files that the command reads; None stands for one that was not given.
 
     Raises:
-        InputError: another suffix; a folder that does not exist; or the path is one of the inputs,
+        InputError: another suffix; what `check_writable` refuses; or the path is one of the inputs,
             by whatever name (a link, too).
     """
     target = Path(path)
@@ -58,6 +65,20 @@ def check_output(
     return target
 
 
+def check_outputs(
+    *paths: str | os.PathLike[str], inputs: Iterable[str | os.PathLike[str] | None] = ()
+) -> None:
+    """Check all that one command writes, as `check_output` does; no two of them may be one file."""
+    sources = list(inputs)
+    seen: dict[Path, Path] = {}
+    for path in paths:
+        target = check_output(path, inputs=sources)
+        real = _behind_links(target)
+        if real in seen:
+            raise InputError(f"{target}: is also the output {seen[real]}; expected another name")
+        seen[real] = target
+
+
 def is_same_file(first: str | os.PathLike[str], second: str | os.PathLike[str]) -> bool:
     """Whether two paths lead to one existing file, through links of either kind."""
     try:
@@ -71,27 +92,33 @@ def written_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path in the same folder; rename it to ``path`` if the block succeeds.
 
     A failure inside the block (an error, a full disk, Ctrl-C) removes the temporary file and leaves
-    an older ``path`` as it was. The temporary name keeps the suffix, since encoders look at it.
+    an older ``path`` as it was. Where ``path`` is a link, the file that it leads to is replaced and
+    the link stays. The temporary name keeps the suffix, since encoders look at it.
 
     Raises:
-        InputError: the folder does not exist, or ``path`` is a folder.
+        InputError: what `check_writable` refuses.
+        OSError: it cannot be written (a full disk, no permission); names ``path``.
     """
     target = check_writable(path)
-    handle, name = tempfile.mkstemp(
-        prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent
-    )
-    os.close(handle)
-    temporary = Path(name)
+    real = _behind_links(target)
+    # the name is known before the file is there: whatever interrupts, it is found and removed
+    temporary = real.with_name(f".{real.stem[:40]}.{token_hex(4)}{target.suffix}")
     try:
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
-        os.chmod(temporary, 0o666 & ~_umask())
-        os.replace(temporary, target)
+        os.replace(temporary, real)
+    except OSError as error:
+        if error.filename not in (None, str(temporary), temporary):
+            raise  # of another file
+        raise OSError(error.errno, error.strerror or str(error), str(target)) from None
     finally:
-        with suppress(FileNotFoundError):
+        with suppress(OSError):
             temporary.unlink()
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _behind_links(path: Path) -> Path:
+    """The path of the file itself, there or not."""
+    real = Path(os.path.realpath(path))
+    if real.is_symlink():
+        raise InputError(f"{path}: is a link that leads back to itself; expected a file to write")
+    return real

@@ -33,7 +33,7 @@ from raden_torch.brdf.shade import shade, warn_if_black
 from raden_torch.brdf.shade_file import shade_file
 from raden_torch.brdf.shapes import average_samples, sphere
 from raden_torch.errors import InputError
-from raden_torch.files import check_writable
+from raden_torch.files import check_outputs
 
 
 @dataclass(frozen=True)
@@ -204,8 +204,13 @@ def relight_files(
 
     Alpha is kept where the output's format has one. In a strip every lamp has it; a contact sheet
     is opaque.
+
+    Raises:
+        InputError: a picture would be written onto one of the files read; whatever reading raises.
     """
     targets = _targets(photos, output)
+    known = original if isinstance(original, Path) else None
+    check_outputs(*targets, inputs=(*photos, normals, mask, model, known))
     loaded = load_model(model)
     normal = read_normal_map(normals, green, fov_deg=fov_deg)
     coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
@@ -295,7 +300,6 @@ def _original_lamp(
 
 def _targets(photos: Sequence[Path], output: Path) -> list[Path]:
     if len(photos) == 1 and not output.is_dir():
-        check_writable(output)
         return [output]
     if len({photo.name for photo in photos}) < len(photos):
         raise InputError("photographs of the same name would overwrite each other; rename them")

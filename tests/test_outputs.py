@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from importlib.metadata import version
 from pathlib import Path
 
@@ -14,7 +15,8 @@ from typer.testing import CliRunner
 import raden_torch as rt
 from raden_torch.cli.common import app, without_other_inputs
 from raden_torch.errors import InputError
-from raden_torch.files import check_output
+from raden_torch.files import check_output, check_outputs, written_beside
+from raden_torch.images.exr import write_channels
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +95,119 @@ def test_the_library_refuses_another_suffix_for_onnx(folder: Path) -> None:
     with pytest.raises(InputError, match=r"ends in \.onnx, got \.html"):
         rt.export_onnx(rt.load_model(folder / "m.safetensors"), folder / "page.html")
     assert not (folder / "page.html").exists()
+
+
+def test_the_library_refuses_another_suffix(folder: Path, tmp_path: Path) -> None:
+    measurement = rt.load_measurement(folder / "shell.csv")
+    model = rt.load_model(folder / "m.safetensors")
+    for write, name, wanted in (
+        (lambda path: rt.save_model(model, path), "x.csv", ".safetensors"),
+        (measurement.save, "x.safetensors", ".csv"),
+        (lambda path: write_channels(path, {"Z": np.ones((2, 2))}), "x.png", ".exr"),
+    ):
+        with pytest.raises(InputError, match=f"ends in {wanted}, got {Path(name).suffix}"):
+            write(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+CAPTURE = ("--squares", "7x5", "--square", "0.012", "--marker", "0.009")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        # the picture beside the result would be the photograph
+        ("capture", "calibrate", "photo.png", *CAPTURE, "-o", "photo.json"),
+        ("capture", "colour", "photo.png", "-o", "photo.json"),
+        ("capture", "colour", "photo16.png", "-o", "c.json", "--picture", "photo16.png"),
+        ("capture", "lights", "photo.png", "--mask", "mask.png", "-o", "mask.json"),
+        *(
+            ("capture", "brdf", "photo.png", "--lights", "l.json", "--shape", "sphere", *more)
+            for more in (("-o", "photo.csv"), ("--dark", "photo16.png", "-o", "photo16.csv"))
+        ),
+        ("capture", "brdf", "photo.png", "--lights", "l.json", "--shape", "plane", "-o", "l.csv"),
+        ("capture", "normals", "photo.png", "--lights", "maps/normals.json", "-o", "maps"),
+        ("capture", "normals", "maps/found.png", "--lights", "l.json", "-o", "maps"),
+        ("bench", "--measurement", "maps/bench.json", "--readings", "shell.csv", "--out", "maps"),
+        # a link in the folder leads back to a photograph, or to the model
+        (*RELIGHT, "-o", "maps"),
+        (*RELIGHT[:2], "photo16.png", *RELIGHT[2:], "-o", "linked"),
+    ],
+)
+def test_what_is_written_beside_is_an_output_too(folder: Path, words: tuple[str, ...]) -> None:
+    for name in ("maps", "linked"):
+        (folder / name).mkdir(exist_ok=True)
+    (folder / "l.json").write_text("{}")
+    shutil.copy(folder / "shell.csv", folder / "maps/bench.json")
+    for name in ("maps/found.png", "maps/normals.json"):
+        (folder / name).write_text("kept")
+    for link, to in (("maps/photo.png", "photo.png"), ("linked/photo16.png", "m.safetensors")):
+        (folder / link).unlink(missing_ok=True)
+        (folder / link).symlink_to(folder / to)
+    kept = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    result = CliRunner().invoke(app, [str(folder / w) if is_path(w) else w for w in words])
+    assert "is also an input" in str(result.exception), result.output
+    assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == kept
+
+
+def is_path(word: str) -> bool:
+    return word in ("maps", "linked") or word.endswith((".png", ".csv", ".json", ".safetensors"))
+
+
+def test_a_rig_s_white_is_an_input_of_the_scan(tmp_path: Path) -> None:
+    rt.simulate_specimen("yakogai", step_deg=35.0).save(tmp_path / "tile.csv")
+    rig = (Path(__file__).parents[1] / "docs/rig.md").read_text().split("```toml\n")[1]
+    rig = rig.split("```")[0].replace("# file =", "file =").replace("reflectance_factor", "# ")
+    (tmp_path / "rig.toml").write_text(rig.replace("[45, 0, 0]", "[35, 0, 0]"))
+    before = (tmp_path / "tile.csv").read_bytes()
+    words = ["scan", "--config", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "tile.csv")]
+    result = CliRunner().invoke(app, words)
+    assert "tile.csv: is also an input" in str(result.exception), result.output
+    assert (tmp_path / "tile.csv").read_bytes() == before
+
+
+def test_two_outputs_are_two_files(tmp_path: Path) -> None:
+    first, second = tmp_path / "a.json", tmp_path / "a.png"
+    check_outputs(first, second)
+    second.symlink_to(first)  # which need not be there
+    with pytest.raises(InputError, match=r"a\.png: is also the output .*a\.json; expected another"):
+        check_outputs(first, second)
+
+
+def test_an_output_that_is_a_link_stays_one(tmp_path: Path) -> None:
+    """The file behind it is replaced; under a second name (a hard link) the old content stays."""
+    (tmp_path / "far").mkdir()
+    real, link, other = tmp_path / "far/data.bin", tmp_path / "out.csv", tmp_path / "hard"
+    real.write_text("older")
+    os.link(real, other)
+    link.symlink_to(real)
+    measurement = rt.simulate_specimen("yakogai", step_deg=35.0)
+    measurement.save(link)
+    assert link.is_symlink()
+    assert rt.load_measurement(real) == measurement
+    assert other.read_text() == "older"
+    real.unlink()
+    measurement.save(link)  # it leads to where a file may be made
+    assert link.is_symlink()
+    assert rt.load_measurement(real) == measurement
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["data.bin", "far", "hard", "out.csv"]
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    lost, loop = tmp_path / "lost.csv", tmp_path / "loop.csv"
+    lost.symlink_to(tmp_path / "nowhere" / "x.csv")
+    loop.symlink_to(loop)
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "null.csv").symlink_to("/dev/null")
+    for path, wanted in (
+        (lost, "nowhere does not exist"),
+        (loop, "a link that leads back to itself"),
+        (tmp_path / "pipe.csv", "expected a file to write, got a device or a pipe"),
+        (tmp_path / "null.csv", "expected a file to write, got a device or a pipe"),
+        (tmp_path, "is a folder"),
+    ):
+        with pytest.raises(InputError, match=wanted), written_beside(path):
+            pytest.fail("nothing is written")
 
 
 def test_an_older_file_that_is_no_input_may_be_replaced(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import torch
 from raden_torch.brdf.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
-from raden_torch.files import written_beside
+from raden_torch.files import check_output, written_beside
 
 FORMAT = "raden_torch model"
 VERSION = 1
@@ -28,16 +28,17 @@ def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
     """Write a model; `load_model` gives back an equal one.
 
     Raises:
-        InputError: the folder does not exist, or `path` is a folder.
+        InputError: a suffix other than .safetensors, or a place that cannot be written.
     """
     from safetensors.torch import save
 
+    target = check_output(path, (".safetensors",))
     about = describe(model)
     tensors = {
         name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()
     }
     data = save(tensors, {"format": FORMAT, "about": json.dumps(about)})
-    with written_beside(path) as temporary:
+    with written_beside(target) as temporary:
         temporary.write_bytes(data)
 
 

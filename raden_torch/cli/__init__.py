@@ -2,32 +2,47 @@
 
 from __future__ import annotations
 
+import atexit
+import signal
 import sys
 import warnings
 
-from raden_torch.cli import (  # noqa: F401 - importing them adds their subcommands
-    capture,
-    capture_brdf,
-    model,
-    picture,
-    scan,
-    simulated_photographs,
-)
-from raden_torch.cli.common import app
+try:
+    from raden_torch.cli import (  # noqa: F401 - importing them adds their subcommands
+        capture,
+        capture_brdf,
+        model,
+        picture,
+        scan,
+        simulated_photographs,
+    )
+    from raden_torch.cli.common import app
+except KeyboardInterrupt:  # while the command starts
+    sys.exit(128 + signal.SIGINT)
 from raden_torch.errors import InputError
+from raden_torch.interrupts import Interrupted, ignore_signals, signals_interrupt
 
 
 def main() -> None:
-    """Run the command; anything wrong with the input is one line on stderr and exit code 2."""
+    """Run the command; anything wrong with the input is one line on stderr and exit code 2.
+
+    A signal that ends it is one line, too, and exit code 128 + its number.
+    """
     warnings.showwarning = _print_warning
     try:
-        app()
+        with signals_interrupt():
+            app()
+    except Interrupted as error:
+        print(f"raden: stopped by {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
     except InputError as error:
         _fail(str(error))
     except OSError as error:
         _fail(f"{error.filename or 'file'}: {error.strerror or error}")
     except MemoryError:
         _fail("not enough memory; use a smaller --size")
+    finally:
+        atexit.register(ignore_signals)
 
 
 def _print_warning(message: Warning | str, *_: object, **__: object) -> None:

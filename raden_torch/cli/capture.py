@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import Enum
+from glob import glob
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +11,7 @@ import typer
 
 from raden_torch.cli.common import app, progress, without_other_inputs, working
 from raden_torch.errors import InputError
-from raden_torch.files import check_output
+from raden_torch.files import check_output, check_outputs
 
 capture = typer.Typer(
     no_args_is_help=True,
@@ -104,9 +105,11 @@ def calibrate(
     """Calibrate a camera on photographs of a ChArUco board; where does the board lie?"""
     from raden_torch.capture.photo.board import Board
     from raden_torch.capture.photo.capture_camera import capture_camera
+    from raden_torch.capture.photo.checking_picture import picture_path
 
     columns, rows = _squares(squares)
-    check_output(output, (".json",), inputs=(*photos, camera))
+    check_output(output, (".json",))
+    check_outputs(output, picture_path(picture, output), inputs=(*photos, camera))
     board = Board(columns, rows, square, marker, dictionary, legacy)
     print(capture_camera(photos, board, output, camera=camera, picture=picture))
 
@@ -142,6 +145,7 @@ def colour(
     import numpy as np
 
     from raden_torch.capture.photo.capture_colour import capture_colour
+    from raden_torch.capture.photo.checking_picture import picture_path
     from raden_torch.capture.photo.development import Development
 
     how = Development(
@@ -155,11 +159,13 @@ def colour(
         response,
     )
     photos = without_other_inputs(photos, flat, *(dark or ()))
-    check_output(output, (".json",), inputs=(*photos, flat, *(dark or ())))
+    check_output(output, (".json",))
+    shown = picture_path(picture, output)
+    check_outputs(output, shown, inputs=(*photos, flat, *(dark or ())))
     marked = None if corners is None else np.array(_points(corners))
     with working("looking for the chart"):
         text = capture_colour(
-            photos, output, development=how, edition=edition, corners=marked, picture=picture
+            photos, output, development=how, edition=edition, corners=marked, picture=shown
         )
     print(text)
 
@@ -206,8 +212,9 @@ def lights(
     check_result_path(output)
     shown = picture_path(picture, output)
     photos = without_other_inputs(photos, reference_mask, *(mask or ()))
-    for path in (output, shown):
-        check_output(path, inputs=(*photos, camera, reference_mask, *(mask or ())))
+    matte = [] if reference is None else glob(reference)
+    inputs = (*photos, *matte, camera, reference_mask, *(mask or ()))
+    check_outputs(output, shown, inputs=inputs)
     if (reference is None) != (reference_mask is None):
         raise InputError("--reference and --reference-mask go together; give both or neither")
     matt = None
@@ -260,13 +267,16 @@ def normals(
 ) -> None:
     """Solve normals, albedo and confidence from photographs under known lamps."""
     from raden_torch.capture.photo.capture_normals import capture_normals
-    from raden_torch.capture.photo.normals_file import write_normals
+    from raden_torch.capture.photo.normals_file import paths_in, write_normals
     from raden_torch.plots.found import draw_normals
     from raden_torch.plots.sheet import save_plot
 
     if output.exists() and not output.is_dir():
         raise InputError(f"{output}: is a file; name a folder")
     photos = without_other_inputs(photos, mask)
+    picture = output / "found.png"
+    if output.is_dir():
+        check_outputs(*paths_in(output), picture, inputs=(*photos, lights, mask))
     with progress("solving normals") as share_done:
         found = capture_normals(
             photos,
@@ -292,7 +302,6 @@ def normals(
         order=found.order,
         notes=found.notes,
     )
-    picture = output / "found.png"
     save_plot(draw_normals(found.surface, found.lamps, photos, found.mask), picture)
     for path in written:
         print(f"wrote {path}")

@@ -21,7 +21,7 @@ from raden_torch.cli.capture import (
 )
 from raden_torch.cli.common import progress, triple, without_other_inputs
 from raden_torch.errors import InputError
-from raden_torch.files import check_output
+from raden_torch.files import check_outputs
 
 if TYPE_CHECKING:
     from raden_torch.capture.photo.brdf.rays import Floats
@@ -143,7 +143,7 @@ def brdf(
     """Measure a BRDF: every lit pixel of a sphere, plane or cylinder is a reading."""
     from raden_torch.capture.photo.brdf.cells import CellGrid
     from raden_torch.capture.photo.brdf.chart_white import chart_white
-    from raden_torch.capture.photo.brdf.files import check_outputs, write_brdf
+    from raden_torch.capture.photo.brdf.files import output_paths, write_brdf
     from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
     from raden_torch.capture.photo.brdf.sample import SampleSpec
     from raden_torch.capture.photo.capture_brdf import Setup, capture_brdf
@@ -152,10 +152,11 @@ def brdf(
     from raden_torch.plots.coverage import draw_captured
     from raden_torch.plots.sheet import save_plot
 
-    report, shown = check_outputs(output, picture)
-    photos = without_other_inputs(photos, mask, white_mask, flat, *(dark or ()))
-    for path in (output, report, shown):
-        check_output(path, inputs=(*photos, lights, mask, camera, colour, white_mask, white_file))
+    report, shown = output_paths(output, picture)
+    beside = (mask, white_mask, flat, *(dark or ()))
+    photos = without_other_inputs(photos, *beside)
+    inputs = (*photos, *beside, lights, camera, colour, white_file)
+    check_outputs(output, report, shown, inputs=inputs)
     if (lamps_stand is Stand.board) != (lights_seen_in is not None):
         raise InputError("--lamps-stand board and --lights-seen-in go together; give both")
     how = Development(

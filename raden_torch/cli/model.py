@@ -10,7 +10,7 @@ import typer
 
 from raden_torch.cli.common import ModelFile, app, triple, working
 from raden_torch.errors import InputError
-from raden_torch.files import check_output
+from raden_torch.files import check_output, check_outputs
 
 if TYPE_CHECKING:
     from raden_torch.brdf.model import RadenBrdf
@@ -81,7 +81,7 @@ def fit(
 
 @app.command(epilog="Example: raden info scan.csv photographs.csv")
 def info(
-    file: Annotated[Path | None, typer.Argument(help="a measurement or a model")] = None,
+    file: Annotated[Path | None, typer.Argument(help="any file that raden writes or reads")] = None,
     other: Annotated[
         Path | None, typer.Argument(help="a measurement to compare the first one with")
     ] = None,
@@ -101,37 +101,44 @@ def info(
         print(system_report())
         return
 
-    from raden_torch.describe import describe_measurement, describe_model
-    from raden_torch.measurement import BrdfMeasurement
+    from raden_torch.info import describe_file
 
+    if other is not None and against is not None:
+        raise InputError("info: two measurements are compared, --against scores a model; give one")
     with working(f"reading {file.name}"):
-        loaded = load(file)
-        if isinstance(loaded, BrdfMeasurement):
-            if against is not None:
-                raise InputError(f"{file}: is a measurement; --against scores a model")
-            text = describe_measurement(loaded) if other is None else _compared(loaded, other)
-        elif other is not None:
-            raise InputError(f"{file}: is a model; two measurements are compared")
+        if other is not None:
+            text = _compared(file, other)
         else:
-            text = describe_model(loaded)
+            text = describe_file(file)
             if against is not None:
-                from raden_torch.brdf.score import score
-                from raden_torch.capture.importers import load_measurement
-
-                text += f"\nagainst {against.name}: {score(loaded, load_measurement(against))}"
+                text += f"\nagainst {against.name}: {_scored(file, against)}"
     print(text)
 
 
 def _measurement(path: Path) -> BrdfMeasurement:
-    from raden_torch.capture.importers import load_measurement
+    """A measurement; what else the file is, is said."""
+    from raden_torch.measurement import BrdfMeasurement
 
-    return load_measurement(path)
+    loaded = load(path)
+    if isinstance(loaded, BrdfMeasurement):
+        return loaded
+    raise InputError(f"{path}: expected a measurement, got a model")
 
 
-def _compared(first: BrdfMeasurement, path: Path) -> str:
+def _compared(first: Path, second: Path) -> str:
     from raden_torch.measurement.compare import compare
 
-    return str(compare(first, _measurement(path)))
+    return str(compare(_measurement(first), _measurement(second)))
+
+
+def _scored(model: Path, readings: Path) -> str:
+    from raden_torch.brdf.score import score
+    from raden_torch.measurement import BrdfMeasurement
+
+    loaded = load(model)
+    if isinstance(loaded, BrdfMeasurement):
+        raise InputError(f"{model}: is a measurement; --against scores a model")
+    return str(score(loaded, _measurement(readings)))
 
 
 @app.command(epilog="Example: raden merge scan.csv photographs.csv -o shell.csv")
@@ -260,7 +267,7 @@ def bench(
     ] = False,
 ) -> None:
     """Run time against error, of every interpolator and backend."""
-    from raden_torch.bench import run_bench
+    from raden_torch.bench import OUTPUTS, run_bench
     from raden_torch.capture.importers import load_measurement
 
     if (measurement is None) != (readings is None):
@@ -269,6 +276,9 @@ def bench(
         raise InputError(f"--height {height}: 16…8192 was wanted")
     if out.exists() and not out.is_dir():
         raise InputError(f"{out}: is a file; name a folder")
+    if out.is_dir():
+        results = (out / name for name in OUTPUTS)
+        check_outputs(*results, inputs=(measurement, readings))
     grid = None if measurement is None else load_measurement(measurement)
     off_grid = None if readings is None else load_measurement(readings)
     plot_path = run_bench(out, grid, off_grid, frame=(height, height * 16 // 9), compiled=compiled)
@@ -277,15 +287,15 @@ def bench(
 
 def load(path: Path) -> BrdfMeasurement | RadenBrdf:
     """A model or a measurement, whichever the file is."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(9)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; a measurement or a model was wanted") from None
-    if head[8:9] == b"{":  # safetensors: the length of a JSON header, then the header
+    from raden_torch.info import kind_of
+
+    name = kind_of(path).name
+    if name == "a model":
         from raden_torch.brdf.model_file import load_model
 
         return load_model(path)
+    if name != "a measurement":
+        raise InputError(f"{path}: expected a measurement or a model, got {name}")
     from raden_torch.capture.importers import load_measurement
 
     return load_measurement(path)

@@ -178,8 +178,6 @@ def relight(
         is_file = original_light.endswith(".json")
         original = Path(original_light) if is_file else triple("--original-light", original_light)
     photos = without_other_inputs(photos, normals, mask, model)
-    if not output.is_dir():
-        check_output(output, inputs=(*photos, normals, mask, model, original_light))
     with working("relighting"):
         written = relight_files(
             photos,

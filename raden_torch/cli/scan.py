@@ -12,7 +12,8 @@ import typer
 
 from raden_torch.cli.common import app, pair, triple, working
 from raden_torch.errors import InputError
-from raden_torch.files import check_output, check_writable
+from raden_torch.files import check_output, check_outputs
+from raden_torch.interrupts import Interrupted
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -119,7 +120,7 @@ def scan(
         return
     if output is not None:
         check_output(output, (".csv",), inputs=(config, plan, specimen))
-    journal_path = None if output is None else session.journal_path(check_writable(output))
+    journal_path = None if output is None else session.journal_path(output)
     position = None if stands_at is None else triple("--stands-at", stands_at)
     if resume and (white_every is not None or white_readings is not None):
         raise InputError(
@@ -143,6 +144,8 @@ def scan(
     scale = 1.0 if dry_run or not simulate else time_scale
     waiting = 1.0 / scale**0.5  # a simulated fault passes sooner; the computer is as slow as ever
     with _rig_of(config, specimen, scale, fault or [], seed) as rig:
+        if output is not None and journal_path is not None:
+            check_outputs(output, journal_path, inputs=(rig.white.file,))
         # a resumed scan has its plan in the journal
         wanted = None if check or (resume and not choice.is_made) else choice.plan(rig.reachable)
         if dry_run:
@@ -225,13 +228,8 @@ def _rig_of(
 def _print_check(rig: Rig, instruments: Instruments, *, move: bool) -> None:
     from raden_torch.capture.spectrometer import session
 
-    try:
-        with session.signals_interrupt():
-            for line in session.check_rig(rig, instruments, move=move):
-                print(line, flush=True)
-    except session.InterruptedScan as error:
-        typer.echo(f"raden: stopped by {error}", err=True)
-        raise typer.Exit(error.exit_code) from error
+    for line in session.check_rig(rig, instruments, move=move):
+        print(line, flush=True)
 
 
 def _run(
@@ -242,12 +240,11 @@ def _run(
     waiting_s: float,
 ) -> None:
     """Scan until the plan is done; anything else ends the command with how to go on."""
-    from raden_torch.capture.spectrometer import session
     from raden_torch.capture.spectrometer.ports import Position
     from raden_torch.capture.spectrometer.scan import Patience, ScanStoppedError, run_scan
 
     try:
-        with session.signals_interrupt(), _progress(journal, operator) as on_step:
+        with _progress(journal, operator) as on_step:
             run_scan(
                 journal,
                 instruments.goniometer,
@@ -259,7 +256,7 @@ def _run(
     except ScanStoppedError as error:
         _say_resume(journal, str(error))
         raise typer.Exit(STOPPED) from error
-    except session.InterruptedScan as error:
+    except Interrupted as error:
         _say_resume(journal, f"stopped by {error}")
         raise typer.Exit(error.exit_code) from error
 

@@ -75,12 +75,9 @@ def export_onnx(
     entry = graph.metadata_props.add()
     entry.key, entry.value = "report", json.dumps(replace(report, bytes=0).as_dict())
     data = graph.SerializeToString()
-    _read(data)  # the checker has the last word
-    try:
-        with written_beside(target) as temporary:
-            temporary.write_bytes(data)
-    except OSError as error:
-        raise InputError(f"{target}: not written: {error.strerror}") from None
+    onnx_file.read_graph(data)  # the checker has the last word
+    with written_beside(target) as temporary:
+        temporary.write_bytes(data)
     return replace(report, bytes=len(data))
 
 
@@ -143,7 +140,7 @@ def _report(
 
 
 def _verified(data: bytes, node_modules: Path | None, pythons: Sequence[Path]) -> ExportReport:
-    graph = _read(data)
+    graph = onnx_file.read_graph(data)
     texts = onnx_file.metadata(graph)
     if texts.get("format") != onnx_file.FORMAT:
         raise InputError("not a shader of raden_torch; `raden export` writes one")
@@ -170,16 +167,6 @@ def _in_onnxruntime(stress: StressSet, data: bytes) -> RuntimeResult:
         raise InputError(
             f"onnxruntime {runtime.version} cannot run it: {one_line(error)}"
         ) from None
-
-
-def _read(data: bytes) -> onnx.ModelProto:
-    onnx = needed("onnx", "reading an ONNX file")
-    try:
-        graph = onnx.load_from_string(data)
-        onnx.checker.check_model(data, full_check=True)
-    except Exception as error:  # protobuf's and onnx's errors share no base class but this one
-        raise InputError(f"not a valid ONNX file: {one_line(error)}") from None
-    return graph
 
 
 def _float32(model: RadenBrdf) -> RadenBrdf:

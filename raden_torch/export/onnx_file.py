@@ -16,6 +16,7 @@ from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.model_file import COLOUR, QUANTITY, assemble, describe
 from raden_torch.errors import InputError
 from raden_torch.export.profiles import GAINS, Port, output_doc, ports
+from raden_torch.export.runtimes import needed, one_line
 from raden_torch.export.trace import PUBLIC
 
 if TYPE_CHECKING:
@@ -66,6 +67,21 @@ def finished(
     shape = ("batch", 3, "height", "width")
     graph.graph.output.append(_value_info(output, shape, output_doc(output)))
     onnx.helper.set_model_props(graph, _metadata(model, inputs, profile, output))
+    return graph
+
+
+def read_graph(data: bytes) -> onnx.ModelProto:
+    """The graph in the bytes of a file.
+
+    Raises:
+        InputError: onnx is missing, or its checker refuses the file.
+    """
+    onnx = needed("onnx", "reading an ONNX file")
+    try:
+        graph = onnx.load_from_string(data)
+        onnx.checker.check_model(data, full_check=True)
+    except Exception as error:  # protobuf's and onnx's errors share no base class but this one
+        raise InputError(f"not a valid ONNX file: {one_line(error)}") from None
     return graph
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.errors import InputError
-from raden_torch.files import written_beside
+from raden_torch.files import check_output, written_beside
 
 MAX_PIXELS = 2**26
 """The largest window that is read or written at once, in pixels (8192 x 8192)."""
@@ -98,7 +98,7 @@ def write_channels(
 
     Raises:
         InputError: arrays that are not `[H, W]` or differ in size, a name that OpenEXR cannot hold,
-            a folder that does not exist.
+            a suffix other than .exr, a folder that does not exist.
     """
     write_parts(path, {"": channels}, half=half)
 
@@ -121,7 +121,7 @@ def write_parts(
         for part, channels in parts.items()
     }
     _check_sizes(path, arrays)
-    with written_beside(path) as temporary:
+    with written_beside(check_output(path, (".exr",))) as temporary:
         write_arrays(temporary, arrays, {}, path)
 
 

@@ -57,6 +57,11 @@ class Chunks:
         return self._window(b"dataWindow")
 
     @property
+    def display(self) -> Window:
+        """The display window."""
+        return self._window(b"displayWindow")
+
+    @property
     def tile(self) -> tuple[int, int] | None:
         """Width and height of the tiles, or None for scan lines."""
         if not self._is_tiled():
@@ -88,6 +93,17 @@ class Chunks:
             found[name.decode()] = np.dtype(_TYPES[struct.unpack_from("<i", rest)[0]])
             data = rest[16:]
         return found
+
+    def check_whole(self) -> None:
+        """Raise InputError where the table leads beyond the file, or not to the last chunk."""
+        _, top, _, bottom = self.window
+        end = os.stat(self.path).st_size
+        if len(self.offsets) and not 0 < self.offsets.min() <= self.offsets.max() < end:
+            raise self._damaged("pixels are missing")
+        last = top + (int(self.offsets.argmax()) // self.across) * self.lines
+        with open(self.path, "rb") as file:
+            for _ in self._chunks(file, last, min(bottom, last + self.lines - 1)):
+                pass
 
     def copied(self, to: BinaryIO, top: int, bottom: int, held: tuple[int, int]) -> None:
         """Write a file whose display window is the rows top…bottom, with the chunks that hold the
@@ -206,13 +222,7 @@ def chunks_of(path: str | os.PathLike[str]) -> list[Chunks]:
         parts = []
         for number, header in enumerate(headers):
             part = Chunks(path, version, number if multi else None, header, np.empty(0, np.uint64))
-            if not part.tile and part.compression >= len(LINES):
-                raise InputError(
-                    f"{path}: compression number {part.compression}, which cannot be read by rows; "
-                    "write it with ZIP"
-                )
-            _, top, _, bottom = part.window
-            count = -(-(bottom - top + 1) // part.lines) * part.across
+            count = _chunk_count(part)
             listed = int.from_bytes(header[b"chunkCount"][2], "little") if multi else count
             left = os.fstat(file.fileno()).st_size - file.tell()
             if 8 * listed > left or listed < count:
@@ -222,6 +232,27 @@ def chunks_of(path: str | os.PathLike[str]) -> list[Chunks]:
             table = np.frombuffer(file.read(8 * listed), "<u8")
             parts.append(replace(part, offsets=table[:count]))
     return parts
+
+
+def _chunk_count(part: Chunks) -> int:
+    """Of the largest level, by the header, all of which is looked at here.
+
+    Raises:
+        InputError: damaged, or a compression that is not in `LINES`.
+    """
+    try:
+        if not part.tile and part.compression >= len(LINES):
+            raise InputError(
+                f"{part.path}: compression number {part.compression}, which cannot be read by "
+                "rows; write it with ZIP"
+            )
+        (_, top, _, bottom), _, channels = part.window, part.display, part.channels
+        count = -(-(bottom - top + 1) // part.lines) * part.across
+    except (struct.error, ZeroDivisionError, LookupError, UnicodeDecodeError):
+        channels, count = {}, 0
+    if not channels or count < 1:
+        raise InputError(f"{part.path}: truncated or damaged (its header is not whole)")
+    return count
 
 
 def _attributes(file: BinaryIO) -> Iterable[Attribute]:

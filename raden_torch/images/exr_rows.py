@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
-from raden_torch.files import written_beside
+from raden_torch.files import check_output, written_beside
 from raden_torch.images.exr import (
     MAX_PIXELS,
     MAX_VALUES,
@@ -149,7 +149,8 @@ def rows_written(
     display = (0, 0, width - 1, height - 1)
     starts: list[NDArray[np.uint64]] = []
     top = 0
-    with written_beside(path) as temporary, temporary.open("wb") as file:
+    target = check_output(path, (".exr",))
+    with written_beside(target) as temporary, temporary.open("wb") as file:
 
         def add(channels: Mapping[str, NDArray[np.float16]]) -> None:
             nonlocal top

@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.errors import InputError
-from raden_torch.files import written_beside
+from raden_torch.files import check_output, written_beside
 from raden_torch.measurement import common_errors
 from raden_torch.measurement.csv_table import CsvTable, find_heading, open_table
 from raden_torch.measurement.readings import BrdfMeasurement, Floats, Metadata
@@ -91,7 +91,12 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
 
 
 def write(measurement: BrdfMeasurement, path: str | os.PathLike[str]) -> None:
-    """Write a measurement so that `read` gives back an equal one, to the bit."""
+    """Write a measurement so that `read` gives back an equal one, to the bit.
+
+    Raises:
+        InputError: a suffix other than .csv, or a place that cannot be written.
+    """
+    target = check_output(path, (".csv",))
     m, meta = measurement, measurement.metadata
     entries = [
         ("material", meta.sample),
@@ -114,7 +119,7 @@ def write(measurement: BrdfMeasurement, path: str | os.PathLike[str]) -> None:
         columns["count"] = m.count
     if not m.valid.all():
         columns["valid"] = m.valid.astype(int)
-    with written_beside(path) as temporary, temporary.open("w", encoding="utf-8") as file:
+    with written_beside(target) as temporary, temporary.open("w", encoding="utf-8") as file:
         for key, value in entries:
             file.write(f"# {key}: {_one_line(value)}\n")
         for note in meta.notes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import textwrap
 from collections.abc import Sequence
@@ -81,8 +82,10 @@ def save_plot(figure: Figure, path: str | os.PathLike[str]) -> None:
         InputError: another suffix, or a folder that does not exist.
     """
     check_plot_path(path)
+    drawn = io.BytesIO()  # matplotlib leaves a file open that it cannot write
+    figure.savefig(drawn, dpi=_DPI, format=Path(path).suffix[1:].lower())
     with written_beside(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format=Path(path).suffix[1:].lower())
+        temporary.write_bytes(drawn.getvalue())
 
 
 def check_plot_path(path: str | os.PathLike[str]) -> None:

@@ -20,6 +20,11 @@ from raden_torch.measurement.text_file import head_text, read_head
 _TEXT_FORMATS = (native_csv, zemax_bsdf, fred, lighttools, speos, astm_e1392)
 
 
+def recognises(head: bytes) -> bool:
+    """Whether a file that begins with these bytes is of a format that `load_measurement` reads."""
+    return any(fmt.recognises(head) for fmt in _FORMATS)
+
+
 def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
     """Read a measurement file; its format is found from its content, not from its name.
 

@@ -180,7 +180,7 @@ def read_camera(path: str | os.PathLike[str]) -> Camera:
     Raises:
         InputError: not such a file, or numbers that are no camera's.
     """
-    if Path(path).suffix.lower() in (".yml", ".yaml", ".xml"):
+    if _is_opencv(Path(path)):
         camera = _opencv_camera(path)
     else:
         found = read_result(
@@ -276,6 +276,16 @@ def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
     return board, poses
 
 
+def _is_opencv(path: Path) -> bool:
+    """By its name, or by how YAML and XML begin."""
+    if path.suffix.lower() in (".yml", ".yaml", ".xml"):
+        return True
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(5) in (b"%YAML", b"<?xml")
+
+
 def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
     import cv2
 
@@ -290,6 +300,8 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
             file.getNode(name).mat() for name in ("camera_matrix", "distortion_coefficients")
         )
         width, height = (file.getNode(f"image_{side}").real() for side in ("width", "height"))
+    except cv2.error:
+        raise InputError(f"{path}: damaged; a whole OpenCV calibration was wanted") from None
     finally:
         file.release()
     if matrix is None or matrix.shape != (3, 3) or distortion is None:

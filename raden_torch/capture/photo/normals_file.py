@@ -52,7 +52,8 @@ def write_normals(
     if len(albedo) == 1:
         albedo = albedo.expand(3, -1, -1)
     confidence = found.confidence[0, 0].detach().float().cpu().numpy()
-    paths = {key: folder / name for key, name in FILES.items()}
+    result, *maps = paths_in(folder)
+    paths = dict(zip(FILES, maps, strict=True))
     coded = np.rint((normal + 1) / 2 * 65535 * there).astype(np.uint16)
     write_pixels(np.ascontiguousarray(coded.transpose(1, 2, 0)), paths["normals"])
     channels = {f"normal.{c}": m for c, m in zip("XYZ", normal, strict=True)}
@@ -61,7 +62,6 @@ def write_normals(
     write_channels(paths["maps"], channels)
     write_pixels(_shown(albedo), paths["albedo"])
     write_pixels(np.rint(confidence * 65535).astype(np.uint16), paths["confidence"])
-    result = folder / "normals.json"
     content: dict[str, Any] = {
         "frame": "x right, y up, z to the viewer; normals point away from the surface",
         "green": "opengl",
@@ -85,6 +85,11 @@ def write_normals(
     }
     write_result(result, KIND, content, made_from=photographs)
     return [result, *paths.values()]
+
+
+def paths_in(folder: Path) -> list[Path]:
+    """What `write_normals` writes there: the result, then the maps in the order of `FILES`."""
+    return [folder / "normals.json", *(folder / name for name in FILES.values())]
 
 
 def _finite(residual: float) -> float | None:

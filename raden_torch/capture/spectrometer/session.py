@@ -1,13 +1,11 @@
-"""From a rig and a plan to a running scan: its journal, its instruments, its signals."""
+"""From a rig and a plan to a running scan: its journal, its instruments."""
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 
 from raden_torch.capture.spectrometer import duration
 from raden_torch.capture.spectrometer.journal import Header, JournalFile
@@ -29,14 +27,6 @@ from raden_torch.capture.spectrometer.white import Triple, White
 from raden_torch.errors import InputError
 
 _MOST_READINGS = 1000
-
-
-class InterruptedScan(KeyboardInterrupt):
-    """Ctrl-C, or the system's wish that the process ends."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(signal.Signals(number).name)
-        self.exit_code = 128 + number
 
 
 @dataclass(frozen=True)
@@ -217,27 +207,6 @@ def check_rig(rig: Rig, instruments: Instruments, *, move: bool) -> Iterator[str
         if isinstance(error, InstrumentError):
             raise InputError(str(error)) from error
         raise
-
-
-@contextmanager
-def signals_interrupt() -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a closed terminal raise `InterruptedScan`, once: what follows is stopping
-    the stage, and takes seconds."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        for caught in caught_signals:
-            signal.signal(caught, signal.SIG_IGN)
-        raise InterruptedScan(number)
-
-    caught_signals = [
-        getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-    ]
-    before = {number: signal.signal(number, interrupt) for number in caught_signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def _header(

@@ -10,8 +10,7 @@ import numpy as np
 
 from raden_torch.capture.photo.checking_picture import picture_path
 from raden_torch.capture.photo.result_file import check_result_path, write_result
-from raden_torch.errors import InputError
-from raden_torch.files import check_writable
+from raden_torch.files import check_output
 from raden_torch.reflectance.regions import regions
 
 if TYPE_CHECKING:
@@ -22,12 +21,10 @@ PathLike = str | os.PathLike[str]
 KIND = "brdf"
 
 
-def check_outputs(output: Path, picture: PathLike | None) -> tuple[Path, Path]:
+def output_paths(output: Path, picture: PathLike | None) -> tuple[Path, Path]:
     """The result's and the picture's path; raises InputError where something could not be
     written."""
-    if output.suffix.lower() != ".csv":
-        raise InputError(f"{output}: measurements are .csv files; name one")
-    check_writable(output)
+    check_output(output, (".csv",))
     report = output.with_suffix(".json")
     check_result_path(report)
     return report, picture_path(picture, output)

@@ -1,7 +1,8 @@
-"""What a measurement or a model holds, in words."""
+"""Measurements and models in words."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,6 +11,9 @@ from raden_torch.measurement import BrdfMeasurement
 
 if TYPE_CHECKING:
     from raden_torch.brdf.model import RadenBrdf
+
+_MOST_ENTRIES = 40
+"""Of a header: a scan's report has 18."""
 
 
 def describe_measurement(measurement: BrdfMeasurement) -> str:
@@ -41,6 +45,7 @@ def describe_measurement(measurement: BrdfMeasurement) -> str:
             f"{channel}: {lo:g}…{hi:g} (perfect reflecting diffuser = 100)"
             for channel, lo, hi in list(zip(m.channels, low, high, strict=True))[:8]
         ]
+    lines += [f"{name}: {text}" for name, text in meta.other[:_MOST_ENTRIES]]
     lines += [f"note: {note}" for note in meta.notes]
     return "\n".join(lines)
 
@@ -79,3 +84,22 @@ def describe_model(model: RadenBrdf) -> str:
     lines.append(f"measurement sha256: {about.measurement_sha256 or 'not known'}")
     lines += [f"warning: {text}" for text in about.fit.get("warnings", ())]
     return "\n".join(lines)
+
+
+def recognises_measurement(head: bytes) -> bool:
+    """One of the formats of `load_measurement`."""
+    from raden_torch.capture.importers import recognises
+
+    return recognises(head)
+
+
+def describe_measurement_file(path: Path) -> str:
+    from raden_torch.capture.importers import load_measurement
+
+    return describe_measurement(load_measurement(path))
+
+
+def describe_model_file(path: Path) -> str:
+    from raden_torch.brdf.model_file import load_model
+
+    return describe_model(load_model(path))

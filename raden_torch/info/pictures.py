@@ -1,0 +1,139 @@
+"""OpenEXR files and images in words."""
+
+from __future__ import annotations
+
+import io
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from raden_torch.errors import InputError
+
+if TYPE_CHECKING:
+    from raden_torch.images.exr_rows import ExrRows
+
+_MOST_LAYERS = 40
+_TYPES = {"float16": "half", "float32": "float", "uint32": "uint"}
+_CHANNELS = {1: "grey", 2: "grey, alpha", 3: "RGB", 4: "RGB, alpha"}
+_IMAGES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"#?RADIANCE", b"#?RGBE")
+"""How PNG, JPEG, TIFF and Radiance files begin."""
+
+
+def recognises_exr(head: bytes) -> bool:
+    return head.startswith(b"\x76\x2f\x31\x01")
+
+
+def describe_exr(path: Path) -> str:
+    """Size, layers, compression, and what of a G-buffer is in it."""
+    from raden_torch.images.exr import headers_of
+    from raden_torch.images.exr_chunks import chunks_of
+    from raden_torch.images.exr_rows import ExrRows
+
+    file = ExrRows(path)
+    height, width = file.size
+    lines = [f"OpenEXR file: {width} x {height} pixels (width x height)"]
+    headers = headers_of(path, by_rows=True)
+    for (name, header), part in zip(headers.items(), chunks_of(path), strict=True):
+        part.check_whole()
+        stored = f"tiles of {part.tile[0]} x {part.tile[1]}" if part.tile else "scan lines"
+        compression = header["compression"].name.removesuffix("_COMPRESSION")
+        of = f"part {name}: " if name else ""
+        lines.append(f"{of}{stored}, compression {compression}")
+        if part.window != part.display:
+            data, display = map(_corners, (part.window, part.display))
+            lines.append(f"data window {data}; display window {display}")
+        lines += _layers(part.channels)
+    return "\n".join([*lines, _gbuffer(file)])
+
+
+def _corners(window: tuple[int, int, int, int]) -> str:
+    left, top, right, bottom = window
+    return f"{left}, {top} to {right}, {bottom}"
+
+
+def _layers(channels: dict[str, Any]) -> list[str]:
+    """One line a layer and type: `layer N: X, Y, Z (float)`."""
+    layers: dict[tuple[str, str], list[str]] = {}
+    for name, kind in channels.items():
+        layer, _, last = name.rpartition(".")
+        layers.setdefault((layer, _TYPES[kind.name]), []).append(last)
+    lines = [
+        f"{f'layer {layer}:' if layer else 'channels'} {', '.join(names)} ({kind})"
+        for (layer, kind), names in layers.items()
+    ]
+    more = len(lines) - _MOST_LAYERS
+    return lines if more <= 0 else [*lines[:_MOST_LAYERS], f"and {more} more layers"]
+
+
+def _gbuffer(file: ExrRows) -> str:
+    """Whether `raden render --gbuffer` finds what it needs."""
+    from raden_torch.brdf.exr_layers import Layers
+    from raden_torch.brdf.gbuffer_file import evidence
+
+    try:
+        layers = Layers.of(file, None)
+        normal, bare = layers.vector("normal"), layers.bare_vector()
+        rows = min(file.size[0], file.most_rows)
+        if normal is None and bare is not None and evidence(file, bare, [(0, rows)]).is_normals:
+            normal = bare
+        found = {"normals": normal, "depth": layers.scalar("depth"), "mask": layers.scalar("mask")}
+        found["positions"] = layers.vector("position")
+    except InputError as error:
+        return f"no G-buffer as it is: {str(error).removeprefix(f'{file.path}: ')}"
+    words = [
+        f"{what} in {', '.join(channel for _, channel in keys)}"
+        for what, keys in found.items()
+        if keys is not None
+    ]
+    if found["normals"] is not None:
+        return f"usable as a G-buffer: {'; '.join(words)}"
+    if found["depth"] is not None:
+        return f"usable as a G-buffer with --fov, normals made of depth: {'; '.join(words)}"
+    return "no G-buffer as it is: no normals and no depth by the names that are known"
+
+
+def recognises_image(head: bytes) -> bool:
+    return head.startswith(_IMAGES)
+
+
+def describe_image(path: Path) -> str:
+    """Size, channels, bits, and what the file says of itself."""
+    from raden_torch.images.pixels import read_pixels
+
+    pixels = read_pixels(path, colour=False)
+    height, width = pixels.shape[:2]
+    names = "grey" if pixels.ndim == 2 else _CHANNELS[pixels.shape[2]]
+    kind = "floating point" if pixels.dtype.kind == "f" else "whole numbers"
+    said = _said(path)
+    lines = [
+        f"{said.pop('format', 'Radiance HDR')} image: {width} x {height} pixels (width x height)",
+        f"{names}; {8 * pixels.dtype.itemsize} bits a channel, {kind}",
+    ]
+    return "\n".join([*lines, *(f"{name}: {value}" for name, value in said.items())])
+
+
+def _said(path: Path) -> dict[str, Any]:
+    """Format, frames, ICC profile and exposure, as far as Pillow knows the file."""
+    from PIL import Image, UnidentifiedImageError
+
+    said: dict[str, Any] = {}
+    try:
+        with warnings.catch_warnings(), Image.open(path) as image:
+            warnings.simplefilter("ignore")  # damaged tags: the pixels were read
+            said["format"] = image.format
+            said["frames"] = getattr(image, "n_frames", 1)
+            icc = image.info.get("icc_profile")
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        return said
+    said["ICC profile"] = _icc_name(icc) if icc else "none"
+    return said
+
+
+def _icc_name(profile: bytes) -> str:
+    from PIL import ImageCms
+
+    try:
+        opened = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        return " ".join(ImageCms.getProfileDescription(opened).split())
+    except (ImageCms.PyCMSError, OSError):
+        return f"{len(profile)} bytes that are no profile"

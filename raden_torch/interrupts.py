@@ -1,0 +1,62 @@
+"""Ctrl-C, SIGTERM and a closed terminal as one exception, so that everything is cleaned up."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_CLEANING_UP_S = 10.0
+
+
+class Interrupted(BaseException):
+    """Ctrl-C, or the system's wish that the process ends; `str` is the signal's name."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.exit_code = 128 + number
+
+
+@contextmanager
+def signals_interrupt() -> Iterator[None]:
+    """SIGINT, SIGTERM and SIGHUP raise `Interrupted` in the block.
+
+    A second one counts after 10 seconds: what follows the first is cleaning up, or stopping a
+    stage. An error after it is its consequence, as where a library's import swallows it. A signal
+    that the process was told to ignore (`nohup`) stays ignored.
+    """
+    raised_at, raised = -_CLEANING_UP_S, 0
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal raised_at, raised
+        now = time.monotonic()
+        if now - raised_at >= _CLEANING_UP_S:
+            raised_at, raised = now, number
+            raise Interrupted(number)
+
+    before = {number: signal.getsignal(number) for number in _numbers()}
+    caught = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
+    try:
+        for number in caught:
+            signal.signal(number, interrupt)
+        yield
+    except Exception as error:
+        if raised:
+            raise Interrupted(raised) from error
+        raise
+    finally:
+        for number, handler in caught.items():
+            signal.signal(number, handler)
+
+
+def ignore_signals() -> None:
+    """For the end of a process, when the work is done and what is left takes a moment."""
+    for number in _numbers():
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _numbers() -> list[int]:
+    names = ("SIGINT", "SIGTERM", "SIGHUP")  # Windows has no SIGHUP
+    return [getattr(signal, name) for name in names if hasattr(signal, name)]
