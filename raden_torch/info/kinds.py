@@ -10,8 +10,7 @@ from pathlib import Path
 
 from raden_torch.errors import InputError
 from raden_torch.info import pictures, reflectance, results, rigs, shader
-
-_HEAD_BYTES = 65_536
+from raden_torch.measurement.text_file import read_head
 
 
 @dataclass(frozen=True)
@@ -73,11 +72,7 @@ def kind_of(path: str | os.PathLike[str]) -> Kind:
     Raises:
         InputError: missing, empty, or of none of `KINDS`.
     """
-    try:
-        with open(path, "rb") as file:
-            head = file.read(_HEAD_BYTES)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; expected a file that raden knows") from None
+    head = read_head(Path(path), "a file that raden knows")
     for kind in KINDS:
         if kind.recognises(head):
             return kind

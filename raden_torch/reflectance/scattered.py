@@ -1,6 +1,6 @@
 """Scattered readings → a table, and what lies between its nodes: kriging of the logarithm.
 
-The table's nodes are kriged from the readings (`measurement.kriging`), so that the highlights'
+The table's nodes are kriged from the readings (`kriging.py`), so that the highlights'
 shape can be fitted to them as to measured ones. Then what the readings leave over of that shape is
 kriged again, and read at any angle, not only at nodes.
 """

@@ -22,7 +22,8 @@ _TEXT_FORMATS = (native_csv, zemax_bsdf, fred, lighttools, speos, astm_e1392)
 
 def recognises(head: bytes) -> bool:
     """Whether a file that begins with these bytes is of a format that `load_measurement` reads."""
-    return any(fmt.recognises(head) for fmt in _FORMATS)
+    text = head_text(head)
+    return rt300s.recognises(head) or any(fmt.recognises(text) for fmt in _TEXT_FORMATS)
 
 
 def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
