@@ -13,12 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-
-Floats = NDArray[np.float64]
 
 ENVELOPE = 0.05
 RIDGE_DEG = 20.0

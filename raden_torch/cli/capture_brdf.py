@@ -24,7 +24,7 @@ from raden_torch.errors import InputError
 from raden_torch.files import check_outputs
 
 if TYPE_CHECKING:
-    from raden_torch.capture.photo.brdf.rays import Floats
+    from raden_torch.arrays import Floats
 
 
 class SampleShape(str, Enum):

@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raden_torch.arrays import Floats32
 from raden_torch.errors import InputError
 from raden_torch.export.constants import fix_parameters
 from raden_torch.export.runtimes import Arrays, needed, one_line, onnx_session
 
 TILE = 32_768
 """Pixels a call: their intermediate maps stay in the processor's caches."""
-
-Floats = NDArray[np.float32]
 
 
 class ShaderSession:
@@ -58,7 +57,7 @@ class ShaderSession:
         self._pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
         self._own = threading.local()
 
-    def run(self, **inputs: ArrayLike) -> Floats:
+    def run(self, **inputs: ArrayLike) -> Floats32:
         """The shader's output.
 
         Args:
@@ -124,7 +123,7 @@ class ShaderSession:
             yield pixels[start : start + self._tile]
 
     def _run_tile(
-        self, maps: Arrays, constants: Arrays, image: Floats, pixels: NDArray[np.intp]
+        self, maps: Arrays, constants: Arrays, image: Floats32, pixels: NDArray[np.intp]
     ) -> None:
         """Put these pixels into the image `[3, H·W]`."""
         run = _run(pixels)
@@ -146,7 +145,7 @@ class ShaderSession:
             raise InputError(f"ShaderSession: onnxruntime refused: {one_line(error)}") from None
         image[:, pixels if run is None else run] = result[0, :, 0]
 
-    def _buffer(self, name: str, channels: int, pixels: int) -> Floats:
+    def _buffer(self, name: str, channels: int, pixels: int) -> Floats32:
         """`[1, channels, 1, pixels]`, contiguous, at the start of memory that the thread keeps.
 
         Pixels come last: `[…, pixels, 1]` takes twice as long.
@@ -163,7 +162,7 @@ def _run(pixels: NDArray[np.intp]) -> slice | None:
     return slice(first, last + 1) if last - first + 1 == len(pixels) else None
 
 
-def _bind(bind: Any, name: str, value: Floats) -> None:
+def _bind(bind: Any, name: str, value: Floats32) -> None:
     bind(name, "cpu", 0, np.float32, value.shape, value.ctypes.data)
 
 
@@ -175,7 +174,7 @@ def _is_map(shape: tuple[int | str, ...]) -> bool:
     return len(shape) == 4 and _is_batched(shape)
 
 
-def _fits(value: Floats, wanted: tuple[int | str, ...], normal: tuple[int, ...]) -> bool:
+def _fits(value: Floats32, wanted: tuple[int | str, ...], normal: tuple[int, ...]) -> bool:
     """Whether sizes are the fixed ones, those of the normals, or 1 where that holds for all."""
     sizes = dict(zip(("batch", "height", "width"), (normal[0], *normal[2:]), strict=True))
     for size, name in zip(value.shape, wanted, strict=True):

@@ -8,16 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.images.header import ColourTags
-from raden_torch.images.icc import (
-    ICC_WHITE,
-    Curve,
-    Floats,
-    IccProfile,
-    UnknownProfile,
-    parse_icc,
-)
+from raden_torch.images.icc import ICC_WHITE, Curve, IccProfile, UnknownProfile, parse_icc
 
 SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """x, y of red, green, blue and white (IEC 61966-2-1)."""

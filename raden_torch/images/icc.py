@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from raden_torch.arrays import Floats
+
 Curve = Callable[[Floats], Floats]
 
 ICC_WHITE = (0.9642, 1.0, 0.8249)

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-from raden_torch.measurement.readings import RGB, WHITE_LEVEL, XYZ, BrdfMeasurement, Floats
+from raden_torch.measurement.readings import RGB, WHITE_LEVEL, XYZ, BrdfMeasurement
 
 _OBSERVERS = {
     "CIE 1931 2 deg": "CIE 1931 2 Degree Standard Observer",

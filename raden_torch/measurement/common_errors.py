@@ -22,11 +22,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 
-Floats = NDArray[np.float64]
 Triple = tuple[float, float, float]
 
 _NONE: Triple = (0.0, 0.0, 0.0)

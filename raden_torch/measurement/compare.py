@@ -19,11 +19,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats, Ints
 from raden_torch.errors import InputError
 from raden_torch.measurement.consistency import MAX_BIRGE, SIGNIFICANT, Chi2, Covariance
-from raden_torch.measurement.error_parts import ErrorParts, Rows, error_parts
+from raden_torch.measurement.error_parts import ErrorParts, error_parts
 from raden_torch.measurement.matching import interpolated_at, same_geometries
-from raden_torch.measurement.readings import XYZ, BrdfMeasurement, Floats
+from raden_torch.measurement.readings import XYZ, BrdfMeasurement
 from raden_torch.reflectance.regions import regions
 
 MAX_SCALE_STD = 3.0
@@ -167,7 +168,7 @@ class _Common:
     """Both measurements at N common geometries: `rows` of the valid readings of `of`."""
 
     of: BrdfMeasurement
-    rows: Rows
+    rows: Ints
     a: ErrorParts
     b: ErrorParts
     left: tuple[int, int]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from raden_torch.measurement.common_errors import Floats
+from raden_torch.arrays import Floats
 
 MAX_BIRGE = 1.2
 """How many times the stated uncertainty a scatter may be and still agree with it.

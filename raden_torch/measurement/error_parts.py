@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats, Ints
 from raden_torch.errors import InputError
 from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.common_errors import zero_sensitivity
-from raden_torch.measurement.readings import BrdfMeasurement, Floats
+from raden_torch.measurement.readings import BrdfMeasurement
 from raden_torch.reflectance.slopes import slopes_per_deg
-
-Rows = NDArray[np.intp]
 
 _LEAST_OWN = 1.0 / 3.0  # of `std`: what a slope that was overestimated may take from it
 _LEAST_STD = 1e-9  # relative to the largest value: rounding, where no error is stated
@@ -34,7 +32,7 @@ class ErrorParts:
     variance: Floats
     zeros: Floats
 
-    def interpolated(self, weights: Floats, rows: Rows, added: Floats) -> ErrorParts:
+    def interpolated(self, weights: Floats, rows: Ints, added: Floats) -> ErrorParts:
         """At N′ places: each `weights` `[N′, K]` times the readings `rows` `[N′, K]`.
 
         Args:
@@ -44,7 +42,7 @@ class ErrorParts:
         variance = np.einsum("nk,nkc->nc", weights**2, self.variance[rows]) + added**2
         return ErrorParts(mixed(self.values), variance, mixed(self.zeros))
 
-    def at(self, rows: Rows) -> ErrorParts:
+    def at(self, rows: Ints) -> ErrorParts:
         """Some of the readings."""
         return ErrorParts(self.values[rows], self.variance[rows], self.zeros[rows])
 

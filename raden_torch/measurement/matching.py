@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from raden_torch.measurement.error_parts import ErrorParts, Rows
-from raden_torch.measurement.readings import BrdfMeasurement, Floats
+from raden_torch.arrays import Floats, Ints
+from raden_torch.measurement.error_parts import ErrorParts
+from raden_torch.measurement.readings import BrdfMeasurement
 from raden_torch.reflectance.grid import DIGITS
 from raden_torch.reflectance.local_quadratic import NUMBERS, local_quadratic
 
@@ -26,8 +27,8 @@ _ROWS_AT_ONCE = 4_000
 class Matched:
     """Rows, among the valid readings of each measurement, that are of one geometry."""
 
-    first: Rows
-    second: Rows
+    first: Ints
+    second: Ints
 
 
 def geometries_deg(measurement: BrdfMeasurement) -> Floats:
@@ -48,7 +49,7 @@ def same_geometries(first: BrdfMeasurement, second: BrdfMeasurement) -> Matched:
 
 def interpolated_at(
     wanted: BrdfMeasurement, source: BrdfMeasurement, parts: ErrorParts
-) -> tuple[Rows, ErrorParts]:
+) -> tuple[Ints, ErrorParts]:
     """The source at the geometries of another measurement's valid readings.
 
     Args:

@@ -19,11 +19,12 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.compare import compare_shared
 from raden_torch.measurement.consistency import CONTRADICTION_STD, MAX_BIRGE, Chi2
-from raden_torch.measurement.readings import BrdfMeasurement, Floats, Metadata
+from raden_torch.measurement.readings import BrdfMeasurement, Metadata
 from raden_torch.measurement.scale_alignment import Scales, aligned_scales
 from raden_torch.measurement.stack import Stack
 

@@ -25,11 +25,12 @@ from pathlib import Path
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, written_beside
 from raden_torch.measurement import common_errors
 from raden_torch.measurement.csv_table import CsvTable, find_heading, open_table
-from raden_torch.measurement.readings import BrdfMeasurement, Floats, Metadata
+from raden_torch.measurement.readings import BrdfMeasurement, Metadata
 
 MAX_BYTES = 2_000_000_000
 _ANGLES = ("incidence_deg", "receiving_deg", "tilt_deg")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raden_torch.arrays import Floats as Floats
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.consistency import pair_contradicts

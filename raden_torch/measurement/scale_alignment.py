@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.measurement.common_errors import CommonErrors
-from raden_torch.measurement.readings import Floats
 from raden_torch.measurement.stack import Stack
 
 _ROUNDS = 50

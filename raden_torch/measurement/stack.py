@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.compare import common_channels
 from raden_torch.measurement.error_parts import stated_variance
 from raden_torch.measurement.matching import geometries_deg
-from raden_torch.measurement.readings import BrdfMeasurement, Floats
+from raden_torch.measurement.readings import BrdfMeasurement
 from raden_torch.reflectance.grid import DIGITS
 
 

@@ -19,8 +19,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.intp]
+from raden_torch.arrays import Floats, Ints
+
 Complexes = NDArray[np.complex128]
 Polarisation = Literal["s", "p"]
 POLARISATIONS: tuple[Polarisation, ...] = ("s", "p")
@@ -144,7 +144,7 @@ def _waves(
 
 def _round_trips(
     films: Films, wavelength_nm: ArrayLike, q: ArrayLike, polarisation: Polarisation
-) -> tuple[list[tuple[Complexes, Rows]], tuple[int, ...]]:
+) -> tuple[list[tuple[Complexes, Ints]], tuple[int, ...]]:
     """exp(2i k_z d) of each film, as the rows of a table; and the shape of the waves.
 
     A thickness that many films share is computed once: the exponential is what takes the time.
@@ -153,7 +153,7 @@ def _round_trips(
     shape = np.broadcast_shapes(
         np.shape(wavelength_nm), np.shape(q), *(np.shape(n) for m in films.media for n in m)
     )
-    turned: dict[int, tuple[Complexes, Rows]] = {}
+    turned: dict[int, tuple[Complexes, Ints]] = {}
     for turn, thickness, which in _films_by_medium(films, wavelength_nm, q, polarisation):
         levels, rows = np.unique(thickness[which], return_inverse=True)
         table = np.exp(np.multiply.outer(levels, np.broadcast_to(turn, shape)))
@@ -164,7 +164,7 @@ def _round_trips(
 
 def _films_by_medium(
     films: Films, wavelength_nm: ArrayLike, q: ArrayLike, polarisation: Polarisation
-) -> Iterator[tuple[Complexes, Floats, Rows]]:
+) -> Iterator[tuple[Complexes, Floats, Ints]]:
     """Each medium's 2i k_z, all the thicknesses `[J, ...]`, and which of the J films it makes."""
     k0 = 2 * np.pi / np.asarray(wavelength_nm, float)
     thickness = np.asarray(films.thickness_nm, float)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from raden_torch.optics.films import Floats
+from raden_torch.arrays import Floats
 
 
 class Facets(NamedTuple):

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
+from raden_torch.arrays import Floats
 from raden_torch.optics import lacquered
-from raden_torch.optics.films import Floats
 from raden_torch.optics.lacquered import Facets
 from raden_torch.optics.nacre import ARAGONITE_N_O, Stack, aragonite, mean_reflectance
 

@@ -16,9 +16,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import ArrayLike
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.measurement.readings import FACTOR_PER_SR, XYZ, BrdfMeasurement, Metadata
-from raden_torch.optics.films import Floats
 from raden_torch.optics.lacquered import Facets
 from raden_torch.optics.nacre import Stack
 from raden_torch.optics.shell import BANDS_NM, Specimen, brdf_per_sr

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
+from raden_torch.arrays import Floats
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
-from raden_torch.measurement.readings import Floats
 from raden_torch.plots.cuts import SLAB_DEG, Cut, NotMeasuredError, in_words
 from raden_torch.plots.look import FAINT, INK, SMALL, brightest, finish, say_missing, true_colour
 from raden_torch.plots.view import View, view_of

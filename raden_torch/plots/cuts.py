@@ -12,13 +12,11 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
-from raden_torch.measurement.readings import FACTOR_PER_SR, Floats
-
-Bools = NDArray[np.bool_]
+from raden_torch.measurement.readings import FACTOR_PER_SR
 
 ANGLES = ("incidence", "receiving", "tilt")
 ANGLE_LIMITS_DEG = {"incidence": (0.0, 90.0), "receiving": (-90.0, 90.0), "tilt": (-90.0, 90.0)}

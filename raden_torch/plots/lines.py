@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 
+from raden_torch.arrays import Floats
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.readings import Floats
 from raden_torch.plots.cuts import OUTSIDE_DEG, Cut, NotMeasuredError
 from raden_torch.plots.look import (
     FACTOR_LABEL,

@@ -12,7 +12,8 @@ from matplotlib import font_manager
 from matplotlib.axes import Axes
 from matplotlib.ft2font import FT2Font
 
-from raden_torch.measurement.readings import RGB, Floats
+from raden_torch.arrays import Floats
+from raden_torch.measurement.readings import RGB
 
 if TYPE_CHECKING:
     from raden_torch.plots.view import View

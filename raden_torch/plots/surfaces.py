@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.readings import Floats
 from raden_torch.plots.cuts import Cut, NotMeasuredError
 from raden_torch.plots.look import INK, SMALL, TEXT, brightest, curves, say_missing, true_colour
 from raden_torch.plots.view import View, view_of

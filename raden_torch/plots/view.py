@@ -9,11 +9,12 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from raden_torch.arrays import Floats
 from raden_torch.brdf.diffuse_fit import fit_diffuse
 from raden_torch.brdf.model import CosineDiffuse, RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.readings import FACTOR_PER_SR, RGB, Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR, RGB
 from raden_torch.plots.cuts import (
     ANGLES,
     GridSamples,

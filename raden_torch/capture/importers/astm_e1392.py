@@ -32,6 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.importers.directions import (
     NOMINAL_NM,
     measurement_of,
@@ -46,7 +47,7 @@ from raden_torch.capture.importers.text import (
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.readings import FACTOR_PER_SR, RGB, XYZ, Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR, RGB, XYZ
 
 MAX_POINTS = 20_000_000
 _MAX_COLUMNS = 2_000

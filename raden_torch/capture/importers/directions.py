@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.readings import Floats
 
 NOMINAL_NM = 550.0
 """The band of a file that holds one wavelength and does not say which (a note says so)."""

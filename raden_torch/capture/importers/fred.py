@@ -31,6 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.importers.directions import (
     NOMINAL_NM,
     measurement_of,
@@ -39,7 +40,7 @@ from raden_torch.capture.importers.directions import (
 from raden_torch.capture.importers.text import first_lines, number, read_lines, shown
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.readings import FACTOR_PER_SR, Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR
 
 _FORMAT = re.compile(r"format\s+angles=(deg|sin)\s+bsdf=(value|log)\s+scale=(\S+)", re.IGNORECASE)
 _COLUMNS = ("polar angle", "azimuth", "bsdf")

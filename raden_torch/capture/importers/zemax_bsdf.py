@@ -40,6 +40,7 @@ from pathlib import Path
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.importers.directions import (
     NOMINAL_NM,
     measurement_of,
@@ -53,7 +54,7 @@ from raden_torch.capture.importers.text import (
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.readings import FACTOR_PER_SR, XYZ, Floats
+from raden_torch.measurement.readings import FACTOR_PER_SR, XYZ
 
 MAX_VALUES = 20_000_000
 _MAX_ANGLES = 10_000

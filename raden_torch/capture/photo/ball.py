@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-
-Floats = NDArray[np.float64]
 
 _ROUND = 0.02
 """An outline may leave its circle by this share of the radius (or 1.5 pixels), one point in 20 by

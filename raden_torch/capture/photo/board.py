@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-
-Floats = NDArray[np.float64]
 
 FEWEST_CORNERS = 6
 _OUTLIER_PX = 3.0

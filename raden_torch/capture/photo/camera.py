@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.board import FEWEST_CORNERS, Board, BoardView
 from raden_torch.capture.photo.result_file import numbers, read_result, write_result
 from raden_torch.errors import InputError
-
-Floats = NDArray[np.float64]
 
 _KIND = "camera"
 _FEWEST_VIEWS = 3

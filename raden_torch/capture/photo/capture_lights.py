@@ -12,7 +12,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.ball import Ball, Floats, ball_from_mask, find_ball
+from raden_torch.arrays import Floats
+from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
 from raden_torch.capture.photo.camera import read_camera
 from raden_torch.capture.photo.highlight import Highlight, find_highlight
 from raden_torch.capture.photo.lamps import Lamps, lamps_from_balls

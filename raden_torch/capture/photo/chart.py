@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.photograph import Photograph
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import srgb_curve
-
-Floats = NDArray[np.float64]
 
 ROWS, COLUMNS = 4, 6
 PATCH_NAMES = (

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.chart import NEUTRAL, PATCH_NAMES, Chart, Patches
 from raden_torch.capture.photo.result_file import numbers, read_result, write_result
 from raden_torch.errors import InputError
-
-Floats = NDArray[np.float64]
 
 METHODS = {"least squares": 1, "root-polynomial 2": 2, "root-polynomial 3": 3}
 """By name, the degree: 3, 6 and 13 terms a channel. All keep hue and chroma when the exposure

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats32
 from raden_torch.capture.photo.photograph import Photograph, check_same_size, read_stored
 from raden_torch.errors import InputError
 from raden_torch.images.pixels import read_pixels
-
-Floats = NDArray[np.float32]
 
 CEILING = 0.9
 """Share of the white level above which a value counts as saturated too: sensors bend there."""
@@ -37,7 +36,7 @@ class Noise:
     read: float
     gain: float
 
-    def variance(self, signal: Floats, rounding: Floats) -> Floats:
+    def variance(self, signal: Floats32, rounding: Floats32) -> Floats32:
         found = self.read**2 + self.gain * np.maximum(signal, 0) + rounding**2
         return np.asarray(found, np.float32)
 
@@ -81,8 +80,8 @@ class Radiance:
         linearity: None where no pixel is usable in two exposures of different length.
     """
 
-    radiance: Floats
-    sigma: Floats
+    radiance: Floats32
+    sigma: Floats32
     valid: NDArray[np.bool_]
     noise: Noise
     linearity: Linearity | None
@@ -159,7 +158,7 @@ def subtract_dark(photo: Photograph, darks: Sequence[Photograph]) -> Photograph:
     return replace(photo, linear=photo.linear - level)
 
 
-def flat_field(flat: Photograph, *, smooth: float = 0.01) -> Floats:
+def flat_field(flat: Photograph, *, smooth: float = 0.01) -> Floats32:
     """`[H, W, C]`, the share of light that arrives at each pixel, 1 where most does.
 
     Args:
@@ -189,7 +188,7 @@ def flat_field(flat: Photograph, *, smooth: float = 0.01) -> Floats:
     return np.asarray(share, np.float32)
 
 
-def flatten(photo: Photograph, share: Floats) -> Photograph:
+def flatten(photo: Photograph, share: Floats32) -> Photograph:
     """Divide by what `flat_field` found.
 
     Raises:
@@ -209,7 +208,7 @@ def recover_response(
     exposures_s: Sequence[float],
     *,
     samples: int = 300,
-) -> Floats:
+) -> Floats32:
     """The unknown response of 8-bit photographs: stored value → linear, `[256, 3]`, 1 at 255.
 
     Debevec and Malik, Recovering High Dynamic Range Radiance Maps from Photographs (1997), through
@@ -293,8 +292,8 @@ def _sums(
     times: Sequence[float],
     usable: Iterable[NDArray[np.bool_]],
     noise: Noise,
-    expected: Floats | None,
-) -> tuple[Floats, Floats]:
+    expected: Floats32 | None,
+) -> tuple[Floats32, Floats32]:
     """Σ w x / t and Σ w with w = t² / variance."""
     total = np.zeros_like(photos[0].linear)
     weight = np.zeros_like(total)
@@ -306,14 +305,14 @@ def _sums(
 
 
 def _weight(
-    photo: Photograph, t: float, use: NDArray[np.bool_], noise: Noise, expected: Floats | None
-) -> Floats:
+    photo: Photograph, t: float, use: NDArray[np.bool_], noise: Noise, expected: Floats32 | None
+) -> Floats32:
     signal = photo.linear if expected is None else expected * t
     variance = np.maximum(noise.variance(signal, photo.rounding), 1e-12)
     return np.where(use[..., None], t * t / variance, 0).astype(np.float32)
 
 
-def _mean(total: Floats, weight: Floats) -> Floats:
+def _mean(total: Floats32, weight: Floats32) -> Floats32:
     return np.divide(total, weight, out=np.zeros_like(total), where=weight > 0)
 
 
@@ -328,8 +327,8 @@ def _noise(
     times: Sequence[float],
     usable: Sequence[NDArray[np.bool_]],
     before: Noise,
-    expected: Floats,
-    weight: Floats,
+    expected: Floats32,
+    weight: Floats32,
 ) -> Noise | None:
     """Read noise and gain from the scatter around the merged radiance; None without scatter."""
     from scipy.optimize import nnls
@@ -375,8 +374,8 @@ def _linearity(
     times: Sequence[float],
     usable: Sequence[NDArray[np.bool_]],
     noise: Noise,
-    total: Floats,
-    weight: Floats,
+    total: Floats32,
+    weight: Floats32,
 ) -> Linearity | None:
     merged = _mean(total, weight)
     inside, left_out, weights = [], [], []

@@ -14,10 +14,7 @@ from itertools import combinations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
-
-Floats = NDArray[np.float64]
 
 _LIT = 0.1
 _FEWEST_PIXELS = 50

@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.ball import Ball
 from raden_torch.capture.photo.highlight import Highlight
 from raden_torch.capture.photo.result_file import numbers, read_result, write_result
 from raden_torch.errors import InputError
-
-Floats = NDArray[np.float64]
 
 KIND = "lights"
 _PARALLEL_DEG = 0.5

@@ -12,6 +12,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats32
 from raden_torch.capture.photo.mosaic import (
     BAYER_PATTERNS,
     demosaiced,
@@ -29,7 +30,6 @@ from raden_torch.images.colour_space import (
 )
 from raden_torch.images.pixels import StoredImage, oriented, read_image
 
-Floats = NDArray[np.float32]
 Coding = Literal["auto", "srgb", "linear"] | NDArray[np.floating[Any]]
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg")
@@ -55,9 +55,9 @@ class Photograph:
         pattern: the Bayer pattern of a raw mosaic, row by row from the upper left corner ("RGGB").
     """
 
-    linear: Floats
+    linear: Floats32
     saturated: NDArray[np.bool_]
-    rounding: Floats
+    rounding: Floats32
     path: Path
     bits: int | None = None
     exposure_s: float | None = None
@@ -193,7 +193,7 @@ def _decoded(
     white: float | None,
     mosaic: str | None,
     space: ColourSpace | None,
-) -> tuple[Floats, Floats, float | None]:
+) -> tuple[Floats32, Floats32, float | None]:
     """Linear and its rounding, `[H, W, C]`, and the stored value that is saturated."""
     values = stored if stored.ndim == 3 else stored[..., None]
     if stored.dtype.kind == "f":
@@ -221,7 +221,7 @@ def _table(
     top: float,
     mosaic: str | None,
     space: ColourSpace | None,
-) -> Floats:
+) -> Floats32:
     """Stored value → linear, `[levels + 1, 1 or 3]`."""
     if not isinstance(coded, str):
         table = np.asarray(coded, np.float32).reshape(len(coded), -1)
@@ -333,7 +333,7 @@ def _turned(pattern: str, image: StoredImage) -> str:
     return "".join(corner.ravel())
 
 
-def _exr_colour(path: Path) -> Floats:
+def _exr_colour(path: Path) -> Floats32:
     from raden_torch.images.exr import read_channels
 
     channels = read_channels(path)

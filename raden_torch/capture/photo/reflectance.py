@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-
-Floats = NDArray[np.float64]
 
 _TERMS = (1, 3, 6)  # the light over the chart: even, a plane, a quadratic surface
 

@@ -13,6 +13,7 @@ from typing import Any, final
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.cells import Reachable, checked_cells, within_reach
 from raden_torch.capture.spectrometer.plan import (
     Decision,
@@ -21,7 +22,6 @@ from raden_torch.capture.spectrometer.plan import (
     cells_from_json,
     checked_repeats,
 )
-from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
 from raden_torch.capture.spectrometer.where_next import choose, estimate
 from raden_torch.errors import InputError

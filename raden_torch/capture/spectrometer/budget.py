@@ -25,8 +25,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.journal import Header
-from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.white import White
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.budget_terms import BudgetTerms

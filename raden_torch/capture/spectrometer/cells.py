@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from raden_torch.capture.spectrometer.ports import Floats, Position
+from raden_torch.arrays import Floats
+from raden_torch.capture.spectrometer.ports import Position
 from raden_torch.errors import InputError
 from raden_torch.measurement.csv_table import open_table
 

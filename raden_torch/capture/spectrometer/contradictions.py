@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.measurement.consistency import CONTRADICTION_STD
 

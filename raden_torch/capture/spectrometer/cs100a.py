@@ -12,10 +12,10 @@ import time
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import (
     ColorReading,
     ConnectionLostError,
-    Floats,
     InstrumentError,
     Range,
 )

@@ -14,10 +14,10 @@ from contextlib import suppress
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import (
     ColorReading,
     ConnectionLostError,
-    Floats,
     InstrumentBusyError,
     InstrumentError,
     Range,

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.plan import Plan
-from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.rig import ANGLES, GoniometerSettings, angles_of
 from raden_torch.capture.spectrometer.travel import longest_axis_deg
 from raden_torch.capture.spectrometer.white import White

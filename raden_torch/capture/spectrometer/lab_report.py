@@ -9,8 +9,8 @@ from typing import cast
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.journal import Contents
-from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.capture.spectrometer.reduction import Reduced
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.grid import DIGITS

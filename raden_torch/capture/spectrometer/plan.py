@@ -15,8 +15,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, final
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.cells import Reachable, checked_cells, within_reach
-from raden_torch.capture.spectrometer.ports import ColorReading, Floats, Position, Target
+from raden_torch.capture.spectrometer.ports import ColorReading, Position, Target
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.adaptive import BUDGET_SHARE, make_adaptive_plan
 from raden_torch.capture.spectrometer.cells import (
     RANDOM_READINGS,
@@ -14,7 +15,6 @@ from raden_torch.capture.spectrometer.cells import (
     random_cells,
 )
 from raden_torch.capture.spectrometer.plan import Plan, make_plan
-from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.errors import InputError
 
 GRID_STEP_DEG = 5.0

@@ -10,10 +10,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import Enum
 
-import numpy as np
-from numpy.typing import NDArray
-
-Floats = NDArray[np.float64]
+from raden_torch.arrays import Floats
 
 
 class InstrumentError(Exception):

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.spectrometer import contradictions
 from raden_torch.capture.spectrometer.budget import (
     Budget,
@@ -32,13 +33,11 @@ from raden_torch.capture.spectrometer.budget import (
 )
 from raden_torch.capture.spectrometer.journal import Contents, Header, Reference
 from raden_torch.capture.spectrometer.plan import Plan, Taken
-from raden_torch.capture.spectrometer.ports import ColorReading, Floats, Position, Range, Target
+from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range, Target
 from raden_torch.capture.spectrometer.stated import StatedUncertainty
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.colour_conversion import bands_to_xyz_matrix
-
-Bools = NDArray[np.bool_]
 
 _WEAK_BAND = 1e-3  # of the lamp's strongest band; below, a ratio is more noise than signal
 _UNIFORM_WIDTH = np.sqrt(12.0)  # of an even distribution, over its standard deviation

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.plan import Plan
-from raden_torch.capture.spectrometer.ports import Floats
 from raden_torch.measurement import BrdfMeasurement
 
 

@@ -11,13 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.ports import (
-    Colorimeter,
-    Floats,
-    Goniometer,
-    Position,
-    Target,
-)
+from raden_torch.arrays import Floats
+from raden_torch.capture.spectrometer.ports import Colorimeter, Goniometer, Position, Target
 from raden_torch.capture.spectrometer.stated import StatedUncertainty
 
 ANGLES = ("incidence", "receiving", "tilt")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.journal import (
     FINISHED,
     Fault,
@@ -28,7 +29,6 @@ from raden_torch.capture.spectrometer.ports import (
     Colorimeter,
     ColorReading,
     ConnectionLostError,
-    Floats,
     Goniometer,
     InstrumentBusyError,
     InstrumentError,

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.arrays import Floats
 
 LUMINOUS_EFFICACY_LM_PER_W = 683.002
 """Of 540 THz: K_m of CIE 018:2019."""

@@ -12,7 +12,7 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.arrays import Floats
 
 Order = NDArray[np.intp]
 

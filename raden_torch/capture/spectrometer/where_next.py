@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.arrays import Floats
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.kriging import ridge_coordinates
 from raden_torch.reflectance.log_readings import FLOOR, LUMINANCE, LogReadings

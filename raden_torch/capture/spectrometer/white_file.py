@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.csv_file import load_csv
-from raden_torch.capture.spectrometer.ports import Floats, Position
+from raden_torch.capture.spectrometer.ports import Position
 from raden_torch.errors import InputError
 
 NEAR_DEG = 5.0

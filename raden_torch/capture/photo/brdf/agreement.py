@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.budget import direction_slopes
 from raden_torch.capture.photo.brdf.cell_fit import RobustFit
-from raden_torch.capture.photo.brdf.cells import CellGrid, Floats, basis
+from raden_torch.capture.photo.brdf.cells import CellGrid, basis
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
 from raden_torch.capture.photo.brdf.white import Scale
 

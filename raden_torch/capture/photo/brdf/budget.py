@@ -23,8 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.cell_sums import NodeValues
-from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
+from raden_torch.capture.photo.brdf.cells import CellGrid
 from raden_torch.capture.photo.brdf.white import Scale
 from raden_torch.measurement.budget_terms import BudgetTerms
 

@@ -20,10 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.brdf.cells import TERMS, CellGrid, Floats, Ints, basis
+from raden_torch.arrays import Floats, Floats32, Ints
+from raden_torch.capture.photo.brdf.cells import TERMS, CellGrid, basis
 from raden_torch.capture.photo.brdf.reservoir import Reservoir, rank_in_group
-
-Floats32 = NDArray[np.float32]
 
 REJECT = 4.0
 """Scales (of a Gaussian) from the robust fit at which a sample is left out."""

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats, Floats32, Ints
 from raden_torch.capture.photo.brdf.cell_fit import (
     FEWEST,
     GRAIN,
@@ -16,9 +17,7 @@ from raden_torch.capture.photo.brdf.cell_fit import (
     nearness,
     prior_precision,
 )
-from raden_torch.capture.photo.brdf.cells import TERMS, CellGrid, Floats, Ints, basis
-
-Floats32 = NDArray[np.float32]
+from raden_torch.capture.photo.brdf.cells import TERMS, CellGrid, basis
 
 _PAIRS = np.triu_indices(TERMS)
 _LEAST_FREEDOM = 0.2

@@ -10,17 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.photo.brdf.angles import angles_deg
 from raden_torch.capture.photo.brdf.cell_fit import FEWEST
-from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
+from raden_torch.capture.photo.brdf.cells import CellGrid
 from raden_torch.capture.photo.brdf.rays import Y_UP
 from raden_torch.capture.photo.brdf.samples import LEAST_COSINE
 from raden_torch.capture.photo.brdf.shapes import Shape, fibonacci_sphere
 from raden_torch.capture.photo.camera import Camera, Pose
-
-Bools = NDArray[np.bool_]
 
 _LAMPS, _CAMERAS = 500, 60
 """Directions over the whole sphere that are tried: about 9 and 26 degrees apart."""

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.capture.photo.brdf.rays import MM, Y_UP, Floats
+from raden_torch.arrays import Floats
+from raden_torch.capture.photo.brdf.rays import MM, Y_UP
 from raden_torch.capture.photo.brdf.series import Shot
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.lamps import Lamps

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.brdf.rays import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.sample import MARGIN_PX
 from raden_torch.capture.photo.brdf.samples import SeenSurface
 

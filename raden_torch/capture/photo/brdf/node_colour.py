@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.accumulate import Accumulated
 from raden_torch.capture.photo.brdf.budget import (
     PhotoBudget,
@@ -14,7 +15,7 @@ from raden_torch.capture.photo.brdf.budget import (
     relative_colour,
     relative_white,
 )
-from raden_torch.capture.photo.brdf.cells import CellGrid, Floats
+from raden_torch.capture.photo.brdf.cells import CellGrid
 from raden_torch.capture.photo.brdf.white import Scale
 from raden_torch.capture.photo.colour import ColourCorrection, read_colour
 from raden_torch.capture.photo.result_file import read_result

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.camera import Camera, Pose
-
-Floats = NDArray[np.float64]
 
 Y_UP = np.array([1.0, -1.0, -1.0])
 """OpenCV's camera frame (x right, y down, z forward) ↔ x right, y up, z to the viewer."""

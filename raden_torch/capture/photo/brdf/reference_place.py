@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.capture.photo.brdf.rays import Floats
-from raden_torch.capture.photo.brdf.sample import Bools, board_pixels, board_plane, eroded
+from raden_torch.arrays import Bools, Floats
+from raden_torch.capture.photo.brdf.sample import board_pixels, board_plane, eroded
 from raden_torch.capture.photo.brdf.shapes import Plane
 from raden_torch.capture.photo.brdf.white import WhitePlace
 from raden_torch.capture.photo.camera import Camera, Pose

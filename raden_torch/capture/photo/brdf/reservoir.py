@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Floats32 = NDArray[np.float32]
-Ints = NDArray[np.intp]
+from raden_torch.arrays import Floats32, Ints
 
 _PER_CELL = 96
 _MOST = 8_000_000

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.rays import (
     MM,
     Y_UP,
-    Floats,
     board_direction,
     board_to_scene,
     undistorted,

@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.photo.ball import ball_from_mask, find_ball
 from raden_torch.capture.photo.brdf.rays import (
-    Floats,
     board_direction,
     board_to_scene,
     projected,
@@ -23,8 +23,6 @@ from raden_torch.capture.photo.brdf.shapes import Plane, Shape, Sphere
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.errors import InputError
-
-Bools = NDArray[np.bool_]
 
 MARGIN_PX = 2
 """Pixels so near to the sample's edge are left out: what lies behind it shines into them."""

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.angles import angles_deg
 from raden_torch.capture.photo.brdf.lighting import Lamp
-from raden_torch.capture.photo.brdf.rays import Floats, rays_through
+from raden_torch.capture.photo.brdf.rays import rays_through
 from raden_torch.capture.photo.brdf.sample import Placed
 from raden_torch.capture.photo.brdf.series import Frame
 from raden_torch.capture.photo.brdf.shapes import Surface

@@ -7,7 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
-from raden_torch.capture.photo.brdf.rays import Floats, Rays
+from raden_torch.arrays import Floats
+from raden_torch.capture.photo.brdf.rays import Rays
 
 
 @dataclass(frozen=True, eq=False)

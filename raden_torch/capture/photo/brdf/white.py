@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.angles import angles_deg
 from raden_torch.capture.photo.brdf.lighting import Lamp
-from raden_torch.capture.photo.brdf.rays import Floats, Rays
+from raden_torch.capture.photo.brdf.rays import Rays
 from raden_torch.capture.photo.brdf.series import Frame
 from raden_torch.capture.photo.brdf.shapes import Plane
 from raden_torch.errors import InputError

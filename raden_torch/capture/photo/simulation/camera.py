@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.simulation.angles import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.simulation.colours import CAMERA_FROM_XYZ
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from raden_torch.capture.photo.simulation.angles import Floats
+from raden_torch.arrays import Floats
 
 CAMERA_FROM_XYZ = np.array([[0.72, -0.06, -0.06], [-0.30, 1.18, 0.10], [0.04, -0.14, 0.81]])
 """A camera's raw RGB of (X, Y, Z over white's): white is (0.60, 0.98, 0.71), red weak as in a raw

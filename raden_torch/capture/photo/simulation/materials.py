@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from raden_torch.capture.photo.simulation.angles import Floats, directions
+from raden_torch.arrays import Floats
+from raden_torch.capture.photo.simulation.angles import directions
 from raden_torch.capture.photo.simulation.colours import white_xyz
 from raden_torch.capture.photo.simulation.table import Table, table_bsdf, table_of
 from raden_torch.errors import InputError

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from raden_torch.capture.photo.simulation.angles import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.simulation.camera import Camera, View
 from raden_torch.capture.photo.simulation.scene import Ball, Lamp, PrintedBoard, Sheet
 

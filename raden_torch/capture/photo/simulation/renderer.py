@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.simulation.angles import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.simulation.camera import Camera, View
 from raden_torch.capture.photo.simulation.materials import Material
 from raden_torch.capture.photo.simulation.scene import Ball, Lamp, chrome, matt, sphere

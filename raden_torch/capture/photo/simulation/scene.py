@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.simulation.angles import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.simulation.colours import chart_colours
 
 CHROME = 0.6

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.simulation.angles import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.simulation.camera import View
 from raden_torch.capture.photo.simulation.materials import Material, material_of, truth_of
 from raden_torch.capture.photo.simulation.photo_file import write_photograph

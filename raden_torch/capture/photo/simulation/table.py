@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.simulation.angles import Floats, angles
+from raden_torch.arrays import Floats
+from raden_torch.capture.photo.simulation.angles import angles
 from raden_torch.capture.photo.simulation.colours import white_xyz
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement

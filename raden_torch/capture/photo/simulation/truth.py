@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from raden_torch.capture.photo.simulation.angles import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.simulation.camera import View
 from raden_torch.capture.photo.simulation.colours import white_xyz
 from raden_torch.capture.photo.simulation.materials import Material

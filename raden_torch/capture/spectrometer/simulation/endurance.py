@@ -25,10 +25,11 @@ from pathlib import Path
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import Contents, read_journal
 from raden_torch.capture.spectrometer.plan import FixedPlan, make_plan
-from raden_torch.capture.spectrometer.ports import Floats, Range
+from raden_torch.capture.spectrometer.ports import Range
 from raden_torch.capture.spectrometer.reduction import reduce_readings
 from raden_torch.capture.spectrometer.rig_config import load_rig
 from raden_torch.capture.spectrometer.scan import Patience, run_scan

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.simulation.faults import Fault, FaultPlan
 from raden_torch.capture.spectrometer.simulation.motion import Segment, planned
 from raden_torch.capture.spectrometer.simulation.serve import Outbox, serve

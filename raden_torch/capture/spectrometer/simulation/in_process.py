@@ -10,13 +10,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.journal import Contents, Header, Record
 from raden_torch.capture.spectrometer.lab_report import now_utc
 from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.ports import (
     Colorimeter,
     ColorReading,
-    Floats,
     Goniometer,
     Position,
     Range,

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from raden_torch.capture.spectrometer.ports import Floats, Target
+from raden_torch.arrays import Floats
+from raden_torch.capture.spectrometer.ports import Target
 from raden_torch.capture.spectrometer.simulation.scene import Scene
 
 _MOVED_DEG = 1e-6

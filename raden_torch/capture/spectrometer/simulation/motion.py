@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.arrays import Floats
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.ports import Floats
+from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.spectrum import (
     LUMINOUS_EFFICACY_LM_PER_W,
     colour_matching,

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.ports import Floats, Target
+from raden_torch.arrays import Floats
+from raden_torch.capture.spectrometer.ports import Target
 from raden_torch.capture.spectrometer.simulation.faults import Fault, FaultPlan
 from raden_torch.capture.spectrometer.simulation.laboratory import Errors, Laboratory
 from raden_torch.capture.spectrometer.simulation.scene import load_scene
