@@ -354,7 +354,11 @@ FILES: dict[Callable[[Path], None], tuple[str, ...]] = {
         "ICC profile: sRGB",
     ),
     png_of_16_bits: ("PNG image: 32 x 24", "RGB; 16 bits a channel", "ICC profile: none"),
-    tiff_of_two_pages: ("TIFF image: 32 x 24", "grey; 8 bits a channel", "frames: 2"),
+    tiff_of_two_pages: (
+        "TIFF image: 32 x 24",
+        "cannot be read here: expected one image, got 2",
+        "frames: 2",
+    ),
     jpeg: ("JPEG image: 32 x 24", "RGB; 8 bits a channel"),
     hdr: ("Radiance HDR image: 32 x 24", "RGB; 32 bits a channel, floating point"),
 }

@@ -97,18 +97,26 @@ def recognises_image(head: bytes) -> bool:
 
 
 def describe_image(path: Path) -> str:
-    """Size, channels, bits, and what the file says of itself."""
+    """Size, channels, bits, and what the file says of itself; why it is not read, if it is not."""
+    from raden_torch.images.header import read_header
     from raden_torch.images.pixels import read_pixels
 
-    pixels = read_pixels(path, colour=False)
-    height, width = pixels.shape[:2]
-    names = "grey" if pixels.ndim == 2 else _CHANNELS[pixels.shape[2]]
-    kind = "floating point" if pixels.dtype.kind == "f" else "whole numbers"
     said = _said(path)
-    lines = [
-        f"{said.pop('format', 'Radiance HDR')} image: {width} x {height} pixels (width x height)",
-        f"{names}; {8 * pixels.dtype.itemsize} bits a channel, {kind}",
-    ]
+    width, height = said.pop("size", (0, 0))
+    mode, form = said.pop("mode", ""), said.pop("format", "Radiance HDR")
+    try:
+        read_header(path)
+    except InputError as error:
+        if not mode:
+            raise
+        held = f"{mode}; cannot be read here: {str(error).removeprefix(f'{path}: ')}"
+    else:
+        pixels = read_pixels(path, colour=False)
+        height, width = pixels.shape[:2]
+        names = "grey" if pixels.ndim == 2 else _CHANNELS[pixels.shape[2]]
+        kind = "floating point" if pixels.dtype.kind == "f" else "whole numbers"
+        held = f"{names}; {8 * pixels.dtype.itemsize} bits a channel, {kind}"
+    lines = [f"{form} image: {width} x {height} pixels (width x height)", held]
     return "\n".join([*lines, *(f"{name}: {value}" for name, value in said.items())])
 
 
@@ -120,7 +128,7 @@ def _said(path: Path) -> dict[str, Any]:
     try:
         with warnings.catch_warnings(), Image.open(path) as image:
             warnings.simplefilter("ignore")  # damaged tags: the pixels were read
-            said["format"] = image.format
+            said["format"], said["size"], said["mode"] = image.format, image.size, image.mode
             said["frames"] = getattr(image, "n_frames", 1)
             icc = image.info.get("icc_profile")
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, Image.DecompressionBombError):

@@ -50,7 +50,7 @@ def read_head(path: Path, wanted: str) -> bytes:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; {wanted} was wanted") from None
+        raise InputError(f"{path}: {error.strerror}; expected {wanted}") from None
     return _unpacked(path, HEAD_BYTES) if head.startswith(_GZIP) else head
 
 

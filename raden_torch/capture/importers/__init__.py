@@ -46,7 +46,7 @@ def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
     path = Path(path)
     head = read_head(path, "a measurement file")
     if not head.strip():
-        raise InputError(f"{path}: it is empty; a measurement file was wanted")
+        raise InputError(f"{path}: expected a measurement file, got an empty one")
     if rt300s.recognises(head):
         return rt300s.read(path)
     text = head_text(head)
