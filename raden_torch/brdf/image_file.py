@@ -115,7 +115,11 @@ def _exr_colour(path: str | os.PathLike[str]) -> Tensor:
 
 
 def read_normal_map(
-    path: str | os.PathLike[str], green: Green = "opengl", *, fov_deg: float | None = None
+    path: str | os.PathLike[str],
+    green: Green = "opengl",
+    *,
+    fov_deg: float | None = None,
+    depth: str | None = None,
 ) -> Tensor:
     """Read a normal map, x right, y up, z to the viewer.
 
@@ -124,7 +128,8 @@ def read_normal_map(
 
     Args:
         green: "opengl" where green points up, "directx" where it points down.
-        fov_deg: horizontal field of view of an EXR that holds depth instead of normals.
+        fov_deg, depth: horizontal field of view, and what the depth is (as for `read_gbuffer`), of
+            an EXR that holds depth instead of normals.
 
     Returns:
         `[1, 3, H, W]` unit normals, zero where there is none.
@@ -137,7 +142,7 @@ def read_normal_map(
     if Path(path).suffix.lower() == ".exr":
         from raden_torch.brdf.gbuffer_file import read_gbuffer
 
-        normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg))
+        normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg, depth=depth))
     else:
         pixels = read_pixels(path, colour=False)
         if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
