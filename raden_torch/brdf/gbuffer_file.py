@@ -33,6 +33,8 @@ from raden_torch.brdf.depth_check import warn_of_other_kind
 from raden_torch.brdf.exr_layers import Key, Layers
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import Triple
+from raden_torch.brdf.normal_axes import NormalAxes
+from raden_torch.brdf.normal_check import warn_of_normals
 from raden_torch.brdf.normal_coding import Evidence, decoded, has_negative
 from raden_torch.brdf.pinhole import Y_UP, pinhole_matrix, rays
 from raden_torch.errors import InputError
@@ -54,6 +56,7 @@ def read_gbuffer(
     view: Triple | None = None,
     smooth_px: float = 0.0,
     depth: str | None = None,
+    xyz: str = "r,g,b",
 ) -> GBuffer:
     """The G-buffer in an EXR file; the frame is that of this module.
 
@@ -77,6 +80,8 @@ def read_gbuffer(
         depth: what the depth is, one of `depth.KINDS`: "planar", "distance" along the pixel's ray,
             "negative", or the renderer that wrote it. None is planar, and warns where the surface
             speaks for another.
+        xyz: the channels of the normals that hold x, y and z ("r" is the first of the three), with
+            a minus where one points the other way: "r,-g,-b" for a camera with y down, z forward.
 
     Returns:
         A batch of 1 in float32. The mask is the file's mask or alpha, and 0 where the normal is
@@ -88,7 +93,8 @@ def read_gbuffer(
 
     Warns:
         UserWarning: the steps of half-precision depth will show in the normals; depth that is not
-            declared is the distance along the ray, by the shapes that it shows.
+            declared is the distance along the ray, by the shapes that it shows; without `camera`
+            and `view`, normals are stored otherwise, by `normal_check`.
     """
     file = GBufferFile(
         path,
@@ -99,6 +105,7 @@ def read_gbuffer(
         view=view,
         smooth_px=smooth_px,
         depth=depth,
+        xyz=xyz,
     )
     gbuffer = file.rows(0, file.size[0])
     if not has_pixels(gbuffer):
@@ -131,6 +138,7 @@ class GBufferFile:
         view: Triple | None = None,
         smooth_px: float = 0.0,
         depth: str | None = None,
+        xyz: str = "r,g,b",
         memory: int | None = None,
     ) -> None:
         if view is not None and camera is not None:
@@ -139,6 +147,7 @@ class GBufferFile:
             raise InputError(f"smooth_px {smooth_px:g}; 0…{MAX_SMOOTH_PX:g} pixels were wanted")
         self.path, self._camera, self._view, self._smooth_px = path, camera, view, smooth_px
         self._is_declared, self._kind = depth is not None, depth_kind(depth or "planar")
+        self._axes = NormalAxes.of(xyz)
         self._file = ExrRows(path)
         self.size = self._file.size
         self.bands = _bands(self._file, memory)
@@ -205,13 +214,17 @@ class GBufferFile:
         return None if keys is None else stacked(self._file, keys, top, bottom)
 
     def _from_normals(self, depth: Tensor | None, top: int, bottom: int) -> GBuffer:
-        normal = decoded(cast(Tensor, self._read(self._normal, top, bottom)), self._coded)
+        stored = decoded(cast(Tensor, self._read(self._normal, top, bottom)), self._coded)
+        normal = self._axes.of_map(stored)
         position = self._read(self._position, top, bottom)
         camera, view = self._camera, self._view
         there = (normal != 0).any(dim=1, keepdim=True)
         if depth is not None:
             there = there & is_depth(depth)
         mask = self._masked(there, top, bottom)
+        is_in_the_middle = top <= self.size[0] // 2 < bottom
+        if is_in_the_middle and self._camera is None and self._view is None:
+            warn_of_normals(self.path, stored * (mask > 0), self._axes, is_coded=self._coded)
         through = None if self._matrix is None else rays(self._matrix, top, bottom, self.size[1])
         if position is None and depth is not None and through is not None:
             position = self._positions(depth, through)

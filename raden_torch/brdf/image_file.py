@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.brdf.gbuffer import GBuffer
+from raden_torch.brdf.normal_axes import Green, NormalAxes
+from raden_torch.brdf.normal_check import warn_of_normals
 from raden_torch.errors import InputError
 from raden_torch.images.mask import read_mask_pixels
 from raden_torch.images.pixels import draw_caption, read_pixels, write_pixels
-
-Green = Literal["opengl", "directx"]
 
 _FLOAT_SUFFIXES = (".exr", ".hdr", ".tif", ".tiff")
 
@@ -118,6 +118,7 @@ def read_normal_map(
     path: str | os.PathLike[str],
     green: Green = "opengl",
     *,
+    xyz: str = "r,g,b",
     fov_deg: float | None = None,
     depth: str | None = None,
 ) -> Tensor:
@@ -128,6 +129,8 @@ def read_normal_map(
 
     Args:
         green: "opengl" where green points up, "directx" where it points down.
+        xyz: the channels that hold x, y and z, as in "b,g,r", with a minus where one points the
+            other way: "r,g,-b".
         fov_deg, depth: horizontal field of view, and what the depth is (as for `read_gbuffer`), of
             an EXR that holds depth instead of normals.
 
@@ -135,14 +138,17 @@ def read_normal_map(
         `[1, 3, H, W]` unit normals, zero where there is none.
 
     Raises:
-        InputError: not an image of three channels. A JPEG warns: its blocks tilt the normals.
+        InputError: not an image of three channels.
+
+    Warns:
+        UserWarning: a JPEG, whose blocks tilt the normals; a map that by its lengths, directions or
+            slopes is stored otherwise (see `normal_check`).
     """
-    if green not in ("opengl", "directx"):
-        raise InputError(f"green {green!r}: opengl or directx was wanted")
+    axes = NormalAxes.of(xyz, green)
     if Path(path).suffix.lower() == ".exr":
         from raden_torch.brdf.gbuffer_file import read_gbuffer
 
-        normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg, depth=depth))
+        normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg, depth=depth, xyz=str(axes)))
     else:
         pixels = read_pixels(path, colour=False)
         if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
@@ -153,11 +159,14 @@ def read_normal_map(
                 "a 16-bit PNG or an EXR holds them well",
                 stacklevel=2,
             )
-        normal = decoded_normals(_tensor(pixels[..., :3]), _levels(pixels))
+        coded, levels = _tensor(pixels[..., :3]), _levels(pixels)
+        stored = decoded_normals(coded, levels)
         if pixels.shape[2] == 4:
-            normal = normal * (_tensor(pixels[..., 3:]) > 0)
-    if green == "directx":
-        normal = normal * normal.new_tensor([1.0, -1.0, 1.0]).view(3, 1, 1)
+            stored = stored * (_tensor(pixels[..., 3:]) > 0)
+        is_coded = levels is not None or not bool((coded < 0).any())
+        step = 2 / levels if levels else 1e-3
+        warn_of_normals(path, stored, axes, is_coded=is_coded, step=step)
+        normal = axes.of_map(stored)
     return torch.nn.functional.normalize(normal, dim=1)
 
 

@@ -32,6 +32,14 @@ Depth = Annotated[
     ),
 ]
 
+NormalXyz = Annotated[
+    str,
+    typer.Option(
+        help="the normals' channels that hold x,y,z (right, up, to the viewer), with a minus where "
+        "one points the other way: b,g,r or =r,-g,-b"
+    ),
+]
+
 
 class Green(str, Enum):
     """Which way green points in a normal map."""
@@ -68,6 +76,7 @@ def render(
     ] = None,
     smooth: Annotated[float, typer.Option(help="smooth the EXR's depth by so many pixels")] = 0.0,
     depth: Depth = None,
+    normal_xyz: NormalXyz = "r,g,b",
     tolerance: Annotated[
         float, typer.Option(help="for an EXR: the radiance a pixel may be wrong by, to save time")
     ] = 0.0,
@@ -104,6 +113,7 @@ def render(
                 fov_deg=fov,
                 smooth_px=smooth,
                 depth=depth,
+                xyz=normal_xyz,
                 exposure_ev=stops,
                 tolerance=tolerance,
                 memory=limit,
@@ -126,6 +136,7 @@ def render(
                 fov_deg=fov,
                 smooth_px=smooth,
                 depth=depth,
+                xyz=normal_xyz,
                 tolerance=tolerance,
             )
         used = save_picture(image, output, loaded, exposure_ev=stops)
@@ -171,6 +182,7 @@ def relight(
         float | None, typer.Option(help="of an EXR with depth instead of normals, degrees")
     ] = None,
     depth: Depth = None,
+    normal_xyz: NormalXyz = "r,g,b",
     elevation: Annotated[
         float, typer.Option(help="of the ring of lamps above the picture, degrees")
     ] = 40.0,
@@ -208,6 +220,7 @@ def relight(
             elevation_deg=elevation,
             fov_deg=fov,
             depth=depth,
+            xyz=normal_xyz,
             green=green.value,
             exposure_ev=stops_of(exposure),
         )
