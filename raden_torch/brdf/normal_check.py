@@ -37,8 +37,9 @@ LEAST_CELLS = 200
 _GRAZING = 0.2
 _LEAST_Z = 0.2
 """Of the mean normal's z."""
-_GRID, _WINDOW = 4, 128
-_POOLED = (1, 4, 16)
+_STEPS = 3.0
+_GRID, _WINDOW = 4, 64
+_POOLED = (1, 4, 8)
 """Pixels whose mean is taken on each side: noise hides the curl of single pixels."""
 
 
@@ -89,6 +90,8 @@ def _is_unit(v: Tensor) -> float:
 def _of_length(v: Tensor, is_coded: bool) -> str | None:
     """What `[N, 3]` decoded vectors seem to be, where they are no normals."""
     unit = _is_unit(v)
+    if is_coded and float(v[:, 2].max()) < -0.95:
+        return "blue is 0 everywhere: only x and y are stored; z was wanted, too"
     if unit >= 1 - OFF_SHARE:
         return None
     if not is_coded:
@@ -113,7 +116,7 @@ def _of_length(v: Tensor, is_coded: bool) -> str | None:
             "(non-colour) data"
         )
     if float(s[:, 2].std()) < 0.01:
-        return said + "blue is the same everywhere: only x and y are stored; z was wanted, too"
+        return said + "blue is the same everywhere, as if x and y alone were stored"
     is_longer = torch.linalg.vector_norm(s, dim=1) > 1 + OFF_LENGTH
     if _is_unit(s) >= 0.2 and float(is_longer.float().mean()) < 0.1:
         return said + "they seem to hold n cut off at 0; (n + 1)/2 was wanted"
@@ -142,11 +145,11 @@ def _of_axes(v: Tensor, there: Tensor, axes: NormalAxes, step: float) -> str | N
     why = []
     if base != axes:
         share = float((z < _LEAST_Z).float().mean())
-        why.append(f"{share:.0%} of the normals face away from the viewer, or almost")
+        why.append(f"{share:.0%} of the normals are seen from behind or edge-on")
     if clearer:
         change = _change(axes, best)
-        why.append(f"the normals fit a surface {clearer:.0f} times better with {change}")
-    return f"{' and '.join(why)}; if so, give {best.option()}"
+        why.append(f"with {change} the normals fit a surface {clearer:.0f} times better")
+    return f"{', and '.join(why)}; if so, give {best.option()}"
 
 
 def _share_away(z: Tensor) -> float:
@@ -202,19 +205,21 @@ def _curls(n: Tensor, there: Tensor, step: float) -> Iterator[list[float]]:
         q_x, q_y = _differences(-y / z)
         energy = p_x**2 + p_y**2 + q_x**2 + q_y**2
         inside = known[:, 1:, 1:] & known[:, 1:, :-1] & known[:, :-1, 1:] & known[:, :-1, :-1]
-        counted = inside & (energy > (2 * step) ** 2)
+        # a step of n is one of up to 1/z² of a slope; smooth slopes may consist of steps alone
+        coarse = (_STEPS * step / z[:, 1:, 1:] ** 2) ** 2
+        counted = inside & (energy > coarse)
         if int(counted.sum()) < LEAST_CELLS:
             continue
-        e = energy[counted]
         # creases and outlines have the largest slopes' differences: no more than the top tenth
-        weight = (e.kthvalue(1 + int(0.9 * (len(e) - 1))).values / e).clamp(max=1)
-        total = float((weight * e).sum())
-        pairs = (p_y[counted], q_x[counted]), (q_y[counted], p_x[counted])
-        yield [
-            float((weight * (a - sign * b) ** 2).sum()) / total
-            for a, b in pairs
-            for sign in (1, -1)
-        ]
+        e = energy[counted]
+        most = e.kthvalue(1 + int(0.9 * (len(e) - 1))).values
+        weight = counted * (most / energy.clamp(min=1e-30)).clamp(max=1)
+        total = float((weight * energy).sum())
+        curls = []
+        for a, b in ((p_y, q_x), (q_y, p_x)):
+            squares, product = (weight * (a * a + b * b)).sum(), (weight * a * b).sum()
+            curls += [float(squares - sign * 2 * product) / total for sign in (1, -1)]
+        yield curls
 
 
 def _differences(m: Tensor) -> tuple[Tensor, Tensor]:
