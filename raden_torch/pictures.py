@@ -16,7 +16,6 @@ from torch import Tensor
 from raden_torch.brdf.display import auto_exposure_ev, to_display, write_picture
 from raden_torch.brdf.gbuffer_file import GBufferFile, read_gbuffer, write_image
 from raden_torch.brdf.image_file import (
-    Green,
     Photograph,
     check_photograph,
     read_mask,
@@ -27,6 +26,7 @@ from raden_torch.brdf.image_file import (
 from raden_torch.brdf.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.model import RadenBrdf
 from raden_torch.brdf.model_file import load_model
+from raden_torch.brdf.normal_axes import Green
 from raden_torch.brdf.plate import plate, shade_plate
 from raden_torch.brdf.relight import lamp_ring, relight, relit_under, tiled
 from raden_torch.brdf.shade import shade, warn_if_black
@@ -94,10 +94,14 @@ def render_gbuffer(
     channels: dict[str, str] | None = None,
     fov_deg: float | None = None,
     smooth_px: float = 0.0,
+    depth: str | None = None,
+    xyz: str = "r,g,b",
     tolerance: float = 0.0,
 ) -> Tensor:
     """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `read_gbuffer` and `shade`."""
-    gbuffer = read_gbuffer(path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px)
+    gbuffer = read_gbuffer(
+        path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px, depth=depth, xyz=xyz
+    )
     lights = lights or SHAPES["sphere"].lights
     with torch.no_grad():
         image = shade(model, gbuffer, lights, tolerance=tolerance)
@@ -114,6 +118,8 @@ def render_gbuffer_file(
     channels: dict[str, str] | None = None,
     fov_deg: float | None = None,
     smooth_px: float = 0.0,
+    depth: str | None = None,
+    xyz: str = "r,g,b",
     exposure_ev: float | None = None,
     tolerance: float = 0.0,
     memory: int | None = None,
@@ -130,7 +136,13 @@ def render_gbuffer_file(
         The exposure in stops: what was asked for, or 0.
     """
     scene = GBufferFile(
-        path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px, memory=memory
+        path,
+        channels=channels,
+        fov_deg=fov_deg,
+        smooth_px=smooth_px,
+        depth=depth,
+        xyz=xyz,
+        memory=memory,
     )
     stops = exposure_ev or 0.0
     lamps = lights or SHAPES["sphere"].lights
@@ -183,6 +195,8 @@ def relight_files(
     elevation_deg: float = 40.0,
     green: Green = "opengl",
     fov_deg: float | None = None,
+    depth: str | None = None,
+    xyz: str = "r,g,b",
     exposure_ev: float | None = None,
     original: Path | tuple[float, float, float] | None = None,
     coded: Literal["srgb", "linear"] = "srgb",
@@ -195,7 +209,8 @@ def relight_files(
         sheet: this many lamps in a ring, in rows, cut to the mask, each with a dial that shows its
             lamp; exposed for the relit part where `exposure_ev` is None.
         elevation_deg: the ring's angle above the picture's plane.
-        fov_deg: of an EXR that holds depth instead of normals.
+        green, xyz: as for `read_normal_map`.
+        fov_deg, depth: of an EXR that holds depth instead of normals, as for `read_gbuffer`.
         exposure_ev: stops; where None the masked part keeps its mean luminance.
         original: the direction to the lamp that the photographs were taken under, or the
             normals.json of `raden capture normals`, which knows it by the photograph's name: keeps
@@ -212,7 +227,7 @@ def relight_files(
     known = original if isinstance(original, Path) else None
     check_outputs(*targets, inputs=(*photos, normals, mask, model, known))
     loaded = load_model(model)
-    normal = read_normal_map(normals, green, fov_deg=fov_deg)
+    normal = read_normal_map(normals, green, xyz=xyz, fov_deg=fov_deg, depth=depth)
     coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
     gain = None if exposure_ev is None else 2.0**exposure_ev
     for path, target in zip(photos, targets, strict=True):

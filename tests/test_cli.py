@@ -153,6 +153,21 @@ def test_exr_gbuffers(shell: Path, shared: Path) -> None:
 
 
 @pytest.mark.slow
+def test_depth_along_the_ray_is_the_planar_picture(shell: Path, shared: Path) -> None:
+    from raden_torch.brdf.gbuffer_file import read_colour
+
+    folder, pictures = shared / "data/cases", []
+    for name, kind in (("planar", "planar"), ("along_ray", "distance")):
+        done = raden(
+            *("render", shell / "shell.safetensors", "--gbuffer", folder / f"depth_{name}.exr"),
+            *("--fov", 50, "--depth", kind, "-o", shell / f"{name}.exr"),
+        )
+        assert done.returncode == 0, done.stderr
+        pictures.append(read_colour(shell / f"{name}.exr"))
+    assert (pictures[0] - pictures[1]).abs().max() < 0.01 * pictures[0].max()
+
+
+@pytest.mark.slow
 def test_demo_makes_a_gallery(tmp_path: Path) -> None:
     done = raden("demo", "--out", tmp_path / "gallery", "--size", 128)
     assert done.returncode == 0, done.stderr

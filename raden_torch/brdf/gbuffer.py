@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.depth import depth_kind, in_front, to_planar
 from raden_torch.brdf.lights import Triple, as_map
 from raden_torch.errors import InputError
 
@@ -64,14 +65,18 @@ class GBuffer:
         return f"GBuffer({', '.join(maps)}, {self.normal.dtype}, {self.normal.device})"
 
     @classmethod
-    def from_depth(cls, depth: Tensor, intrinsics: Tensor, mask: Tensor | None = None) -> GBuffer:
+    def from_depth(
+        cls, depth: Tensor, intrinsics: Tensor, mask: Tensor | None = None, *, kind: str = "planar"
+    ) -> GBuffer:
         """A G-buffer from depth alone: positions and normals by kornia.
 
         Args:
-            depth: `[B, 1, H, W]`, distance along the camera's axis; pixels that are not finite or
-                not positive are masked out.
+            depth: `[B, 1, H, W]`; pixels that are not finite or not in front of the camera are
+                masked out.
             intrinsics: `[3, 3]` or `[B, 3, 3]` pinhole matrix in pixels.
             mask: `[B, 1, H, W]` or None.
+            kind: of `depth.KINDS`: "planar", along the camera's axis; "distance", along the pixel's
+                ray; "negative", minus the planar one; or the renderer that wrote it.
 
         Returns:
             In the camera's frame: x right, y down, z forward, the camera at the origin. Normals
@@ -90,9 +95,14 @@ class GBuffer:
             )
         dtype = geometry.working_dtype(depth)
         matrix = intrinsics.to(depth.device, dtype).expand(len(depth), 3, 3)
+        known_kind = depth_kind(kind)
+        depth = in_front(depth, known_kind)
         valid = torch.isfinite(depth) & (depth > 0)
         # a neutral depth where there is none, so that its neighbours stay finite
         clean = torch.where(valid, depth, torch.ones_like(depth)).to(dtype)
+        if known_kind == "distance":
+            rays = depth_to_3d_v2(torch.ones_like(clean[:, 0]), matrix).movedim(-1, 1)
+            clean = to_planar(clean, known_kind, rays)
         position = depth_to_3d_v2(clean[:, 0], matrix).movedim(-1, 1)
         normal = depth_to_normals(clean, matrix)
         outward = torch.where(geometry.dot(normal, position) > 0, -1.0, 1.0).to(dtype)

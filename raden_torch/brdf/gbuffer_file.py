@@ -9,9 +9,8 @@ camera at the origin and the scene at z < 0.
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
-from math import lcm, radians, tan
+from math import lcm
 from typing import cast
 
 import numpy as np
@@ -19,22 +18,32 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from raden_torch.brdf.depth import (
+    FAR,
+    LARGEST_HALF,
+    MAX_SMOOTH_PX,
+    depth_kind,
+    grown,
+    in_front,
+    is_depth,
+    to_planar,
+    warn_of_steps,
+)
+from raden_torch.brdf.depth_check import warn_of_other_kind
 from raden_torch.brdf.exr_layers import Key, Layers
 from raden_torch.brdf.gbuffer import GBuffer
 from raden_torch.brdf.lights import Triple
+from raden_torch.brdf.normal_axes import NormalAxes
+from raden_torch.brdf.normal_check import warn_of_normals
 from raden_torch.brdf.normal_coding import Evidence, decoded, has_negative
+from raden_torch.brdf.pinhole import Y_UP, pinhole_matrix, rays
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
 from raden_torch.images.exr_rows import WRITTEN_LINES, ExrRows
 
-FAR = 1e9
-"""Depth from which on there is nothing; so also 65504, the largest half."""
-MAX_SMOOTH_PX = 100.0
 BYTES_A_PIXEL, BYTES_A_CHANNEL = 240, 10
 """The most that reading, shading and writing some rows takes: that of the eager form. With the
 fused kernel it is a third."""
-_LARGEST_HALF = 65504.0
-_Y_UP = (1.0, -1.0, -1.0)  # x right, y down, z forward → x right, y up, z to the viewer
 
 
 def read_gbuffer(
@@ -46,13 +55,15 @@ def read_gbuffer(
     camera: Triple | None = None,
     view: Triple | None = None,
     smooth_px: float = 0.0,
+    depth: str | None = None,
+    xyz: str = "r,g,b",
 ) -> GBuffer:
     """The G-buffer in an EXR file; the frame is that of this module.
 
     Normals are found by name (`NAMES`, as "N.X", "Normal.R", "ViewLayer.Normal.X") or are the bare
     RGB of a file whose colours are unit vectors, not all positive. They are decoded from (n + 1)/2
     where no value is below −0.02 and the median vector comes nearer to unit length by it. Without
-    normals they are made from depth, the distance along the camera's axis.
+    normals they are made from depth, which is planar z unless `depth` says otherwise.
 
     The direction to the viewer is, the first that is given: `view`; from positions to `camera`; a
     pinhole's, by `intrinsics` or `fov_deg`; (0, 0, 1), a camera at infinity that looks along −z.
@@ -66,6 +77,11 @@ def read_gbuffer(
         view: `[3]` towards a viewer at infinity, or a map `[1, 3, H, W]`.
         smooth_px: standard deviation of a Gaussian over the depth before normals are made of it;
             depth in half precision needs one of several pixels.
+        depth: what the depth is, one of `depth.KINDS`: "planar", "distance" along the pixel's ray,
+            "negative", or the renderer that wrote it. None is planar, and warns where the surface
+            speaks for another.
+        xyz: the channels of the normals that hold x, y and z ("r" is the first of the three), with
+            a minus where one points the other way: "r,-g,-b" for a camera with y down, z forward.
 
     Returns:
         A batch of 1 in float32. The mask is the file's mask or alpha, and 0 where the normal is
@@ -76,7 +92,9 @@ def read_gbuffer(
             valid pixel, or a file that `read_parts` rejects.
 
     Warns:
-        UserWarning: the steps of half-precision depth will show in the normals.
+        UserWarning: the steps of half-precision depth will show in the normals; depth that is not
+            declared is the distance along the ray, by the shapes that it shows; without `camera`
+            and `view`, normals are stored otherwise, by `normal_check`.
     """
     file = GBufferFile(
         path,
@@ -86,6 +104,8 @@ def read_gbuffer(
         camera=camera,
         view=view,
         smooth_px=smooth_px,
+        depth=depth,
+        xyz=xyz,
     )
     gbuffer = file.rows(0, file.size[0])
     if not has_pixels(gbuffer):
@@ -117,6 +137,8 @@ class GBufferFile:
         camera: Triple | None = None,
         view: Triple | None = None,
         smooth_px: float = 0.0,
+        depth: str | None = None,
+        xyz: str = "r,g,b",
         memory: int | None = None,
     ) -> None:
         if view is not None and camera is not None:
@@ -124,6 +146,8 @@ class GBufferFile:
         if not 0 <= smooth_px <= MAX_SMOOTH_PX:
             raise InputError(f"smooth_px {smooth_px:g}; 0…{MAX_SMOOTH_PX:g} pixels were wanted")
         self.path, self._camera, self._view, self._smooth_px = path, camera, view, smooth_px
+        self._is_declared, self._kind = depth is not None, depth_kind(depth or "planar")
+        self._axes = NormalAxes.of(xyz)
         self._file = ExrRows(path)
         self.size = self._file.size
         self.bands = _bands(self._file, memory)
@@ -131,12 +155,13 @@ class GBufferFile:
         self._normal, self._coded = self._normals(layers)
         self._depth, self._mask = layers.scalar("depth"), layers.scalar("mask")
         self._position = None if self._normal is None else layers.vector("position")
-        self._matrix = _matrix(intrinsics, fov_deg, self.size)
+        self._matrix = pinhole_matrix(intrinsics, fov_deg, self.size)
         self._check(layers)
 
     def rows(self, top: int, bottom: int) -> GBuffer:
         """The rows from `top` to before `bottom`, a batch of 1 in float32."""
-        depth = self._read(self._depth, top, bottom)
+        stored = self._read(self._depth, top, bottom)
+        depth = None if stored is None else in_front(stored, self._kind)
         if self._normal is not None:
             return self._from_normals(depth, top, bottom)
         return self._from_depth(cast(Tensor, depth))
@@ -189,40 +214,59 @@ class GBufferFile:
         return None if keys is None else stacked(self._file, keys, top, bottom)
 
     def _from_normals(self, depth: Tensor | None, top: int, bottom: int) -> GBuffer:
-        normal = decoded(cast(Tensor, self._read(self._normal, top, bottom)), self._coded)
+        stored = decoded(cast(Tensor, self._read(self._normal, top, bottom)), self._coded)
+        normal = self._axes.of_map(stored)
         position = self._read(self._position, top, bottom)
         camera, view = self._camera, self._view
         there = (normal != 0).any(dim=1, keepdim=True)
         if depth is not None:
-            there = there & _is_depth(depth)
+            there = there & is_depth(depth)
         mask = self._masked(there, top, bottom)
-        rays = None if self._matrix is None else _rays(self._matrix, top, bottom, self.size[1])
-        if position is None and depth is not None and rays is not None:
-            position = torch.where(_is_depth(depth), depth, torch.ones_like(depth)) * rays
+        is_in_the_middle = top <= self.size[0] // 2 < bottom
+        if is_in_the_middle and self._camera is None and self._view is None:
+            warn_of_normals(self.path, stored * (mask > 0), self._axes, is_coded=self._coded)
+        through = None if self._matrix is None else rays(self._matrix, top, bottom, self.size[1])
+        if position is None and depth is not None and through is not None:
+            position = self._positions(depth, through)
             camera = (0.0, 0.0, 0.0) if view is None else None
         if camera is not None:
             return GBuffer(normal, position=position, camera=camera, mask=mask)
         if view is None:
-            view = (0.0, 0.0, 1.0) if rays is None else -rays
+            view = (0.0, 0.0, 1.0) if through is None else -through
         elif isinstance(view, Tensor) and view.ndim == 4 and view.shape[2] == self.size[0]:
             view = view[:, :, top:bottom]
         return GBuffer(normal, view=_as_view(view), position=position, mask=mask)
 
     def _from_depth(self, depth: Tensor) -> GBuffer:
         matrix, (height, width) = cast(Tensor, self._matrix), self.size
-        there = _is_depth(depth)
-        if self._smooth_px <= 0:
-            _warn_of_steps(self.path, depth[there], matrix)
-        made = GBuffer.from_depth(_grown(depth, there, self._smooth_px), matrix)
-        y_up = depth.new_tensor(_Y_UP).view(3, 1, 1)
+        through = rays(matrix, 0, height, width)
+        there = is_depth(depth)
+        self._warn_of_depth(depth, there, through)
+        position = self._positions(depth, through)
+        # a neutral depth of 1 where there is none
+        made = GBuffer.from_depth(grown(-position[:, 2:], there, self._smooth_px), matrix)
+        y_up = depth.new_tensor(Y_UP).view(3, 1, 1)
         normal = torch.where(there, made.normal * y_up, torch.zeros_like(made.normal))
-        # the rays of the depth as it was stored, not of what the normals were made from
-        rays = _rays(matrix, 0, height, width)
-        position = torch.where(there, depth, torch.ones_like(depth)) * rays
         mask = self._masked(there, 0, height)
         if self._view is not None:
             return GBuffer(normal, view=_as_view(self._view), position=position, mask=mask)
         return GBuffer(normal, position=position, camera=(0.0, 0.0, 0.0), mask=mask)
+
+    def _warn_of_depth(self, depth: Tensor, there: Tensor, through: Tensor) -> None:
+        if not bool(there.any()) and bool((depth < 0).any()):
+            raise InputError(
+                f"{self.path}: no valid pixel, the depth is below 0; if it is the z of a camera "
+                "that looks along −z, give depth negative (--depth negative)"
+            )
+        if self._smooth_px <= 0:
+            warn_of_steps(self.path, depth[there], cast(Tensor, self._matrix))
+        if not self._is_declared:
+            warn_of_other_kind(self.path, depth, there, through)
+
+    def _positions(self, depth: Tensor, through: Tensor) -> Tensor:
+        """On the rays; where there is no depth, at 1 along the axis."""
+        planar = to_planar(depth, self._kind, through)
+        return torch.where(is_depth(depth), planar, torch.ones_like(depth)) * through
 
     def _masked(self, there: Tensor, top: int, bottom: int) -> Tensor:
         mask = self._read(self._mask, top, bottom)
@@ -268,7 +312,7 @@ def write_image(image: Tensor, path: str | os.PathLike[str]) -> None:
 
 def in_halves(image: Tensor) -> dict[str, NDArray[np.float16]]:
     """`[1, 3, H, W]` → the channels R, G, B as half floats, cut off at ±65504."""
-    rgb = image[0].detach().float().clamp(-_LARGEST_HALF, _LARGEST_HALF).cpu().numpy()
+    rgb = image[0].detach().float().clamp(-LARGEST_HALF, LARGEST_HALF).cpu().numpy()
     return dict(zip("RGB", rgb.astype(np.float16), strict=True))
 
 
@@ -306,79 +350,6 @@ def _bands(file: ExrRows, memory: int | None) -> list[tuple[int, int]]:
             f"{min(step, height)} rows, the least that can be read at once"
         )
     return [(top, min(top + rows, height)) for top in range(0, height, rows)]
-
-
-def _is_depth(depth: Tensor) -> Tensor:
-    return torch.isfinite(depth) & (depth > 0) & (depth < FAR) & (depth != _LARGEST_HALF)
-
-
-def _grown(depth: Tensor, there: Tensor, smooth_px: float) -> Tensor:
-    """The depth, smoothed where that is asked for, and continued over its edge.
-
-    So the differences at a silhouette are those of the surface, not of a surface and nothing.
-    """
-    from kornia.filters import gaussian_blur2d
-
-    weight = there.to(depth.dtype)
-    known = torch.where(there, depth, torch.zeros_like(depth))
-    if smooth_px > 0:
-        size = 2 * int(np.ceil(3 * smooth_px)) + 1
-        smallest = min(depth.shape[-2:])
-        size = min(size, 2 * ((smallest - 1) // 2) + 1)
-        blur = ((size, size), (smooth_px, smooth_px), "replicate")
-        total, share = gaussian_blur2d(known, *blur), gaussian_blur2d(weight, *blur)
-    else:
-        total, share = (torch.nn.functional.avg_pool2d(m, 3, 1, 1) for m in (known, weight))
-    around = torch.where(share > 1e-6, total / share.clamp(min=1e-6), torch.full_like(share, -1.0))
-    return around if smooth_px > 0 else torch.where(there, depth, around)
-
-
-def _warn_of_steps(path: object, depth: Tensor, matrix: Tensor) -> None:
-    """Depth in steps of half precision that are coarse beside a pixel gives terraces."""
-    if len(depth) == 0 or not torch.equal(depth.half().float(), depth):
-        return
-    middle = float(depth.median())
-    step, pixel = float(np.spacing(np.float16(middle))), middle / float(matrix[0, 0])
-    if step > pixel / 8 and len(torch.unique(depth)) > 16:
-        warnings.warn(
-            f"{path}: depth in half precision, in steps of {step:.2g} where a pixel is "
-            f"{pixel:.2g} wide: the normals will be terraced; smooth it (smooth_px), or write the "
-            "depth in 32 bits",
-            stacklevel=5,
-        )
-
-
-def _matrix(
-    intrinsics: Tensor | ArrayLike | None, fov_deg: float | None, size: tuple[int, int]
-) -> Tensor | None:
-    """`[3, 3]` float32, or None."""
-    if intrinsics is not None and fov_deg is not None:
-        raise InputError("intrinsics and fov_deg are both given; one of them was wanted")
-    height, width = size
-    if fov_deg is not None:
-        if not 0 < fov_deg < 180:
-            raise InputError(f"fov_deg {fov_deg:g}; an angle between 0 and 180 was wanted")
-        focal = width / 2 / tan(radians(fov_deg) / 2)
-        centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
-        intrinsics = np.array([[focal, 0, centre_x], [0, focal, centre_y], [0, 0, 1]])
-    if intrinsics is None:
-        return None
-    matrix = torch.as_tensor(intrinsics, dtype=torch.float32)
-    usable = matrix.shape == (3, 3) and bool(torch.isfinite(matrix).all())
-    if not usable or float(matrix[0, 0]) <= 0 or float(matrix[1, 1]) <= 0:
-        raise InputError(
-            f"intrinsics {matrix.tolist()}; a matrix [3, 3] with focal lengths above 0 was wanted"
-        )
-    return matrix
-
-
-def _rays(matrix: Tensor, top: int, bottom: int, width: int) -> Tensor:
-    """`[1, 3, rows, W]` from the camera through each pixel, with −1 along z (y up)."""
-    inverse = torch.linalg.inv(matrix.double()) * torch.tensor(_Y_UP).double()[:, None]
-    u, v, one = inverse[:, :, None, None].unbind(1)
-    across = u * torch.arange(width, dtype=torch.float64) + one
-    down = v * torch.arange(top, bottom, dtype=torch.float64)[:, None]
-    return torch.stack([(a + d).float() for a, d in zip(across, down, strict=True)])[None]
 
 
 def _as_view(view: Tensor | Sequence[float]) -> Tensor:

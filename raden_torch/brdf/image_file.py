@@ -15,6 +15,8 @@ from torch import Tensor
 
 from raden_torch.brdf.exr_layers import Layers
 from raden_torch.brdf.gbuffer import GBuffer
+from raden_torch.brdf.normal_axes import Green, NormalAxes
+from raden_torch.brdf.normal_check import warn_of_normals
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import (
     SRGB_SPACE,
@@ -33,8 +35,6 @@ from raden_torch.images.pixels import (
     read_pixels,
     write_pixels,
 )
-
-Green = Literal["opengl", "directx"]
 
 _FLOAT_SUFFIXES = (".exr", ".hdr", ".tif", ".tiff")
 _WHOLE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")
@@ -213,7 +213,12 @@ def _finite(values: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def read_normal_map(
-    path: str | os.PathLike[str], green: Green = "opengl", *, fov_deg: float | None = None
+    path: str | os.PathLike[str],
+    green: Green = "opengl",
+    *,
+    xyz: str = "r,g,b",
+    fov_deg: float | None = None,
+    depth: str | None = None,
 ) -> Tensor:
     """Read a normal map, x right, y up, z to the viewer.
 
@@ -222,20 +227,26 @@ def read_normal_map(
 
     Args:
         green: "opengl" where green points up, "directx" where it points down.
-        fov_deg: horizontal field of view of an EXR that holds depth instead of normals.
+        xyz: the channels that hold x, y and z, as in "b,g,r", with a minus where one points the
+            other way: "r,g,-b".
+        fov_deg, depth: horizontal field of view, and what the depth is (as for `read_gbuffer`), of
+            an EXR that holds depth instead of normals.
 
     Returns:
         `[1, 3, H, W]` unit normals, zero where there is none.
 
     Raises:
-        InputError: not an image of three channels. A JPEG warns: its blocks tilt the normals.
+        InputError: not an image of three channels.
+
+    Warns:
+        UserWarning: a JPEG, whose blocks tilt the normals; a map that by its lengths, directions or
+            slopes is stored otherwise (see `normal_check`).
     """
-    if green not in ("opengl", "directx"):
-        raise InputError(f"green {green!r}: opengl or directx was wanted")
+    axes = NormalAxes.of(xyz, green)
     if Path(path).suffix.lower() == ".exr":
         from raden_torch.brdf.gbuffer_file import read_gbuffer
 
-        normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg))
+        normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg, depth=depth, xyz=str(axes)))
     else:
         pixels = read_pixels(path, colour=False)
         if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
@@ -246,11 +257,14 @@ def read_normal_map(
                 "a 16-bit PNG or an EXR holds them well",
                 stacklevel=2,
             )
-        normal = decoded_normals(_tensor(pixels[..., :3]), _levels(path, pixels))
+        coded, levels = _tensor(pixels[..., :3]), _levels(path, pixels)
+        stored = decoded_normals(coded, levels)
         if pixels.shape[2] == 4:
-            normal = normal * (_tensor(pixels[..., 3:]) > 0)
-    if green == "directx":
-        normal = normal * normal.new_tensor([1.0, -1.0, 1.0]).view(3, 1, 1)
+            stored = stored * (_tensor(pixels[..., 3:]) > 0)
+        is_coded = levels is not None or not bool((coded < 0).any())
+        step = 2 / levels if levels else 1e-3
+        warn_of_normals(path, stored, axes, is_coded=is_coded, step=step)
+        normal = axes.of_map(stored)
     return torch.nn.functional.normalize(normal, dim=1)
 
 

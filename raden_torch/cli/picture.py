@@ -23,6 +23,23 @@ from raden_torch.cli.common import (
 from raden_torch.errors import InputError
 from raden_torch.files import check_output
 
+Depth = Annotated[
+    str | None,
+    typer.Option(
+        help="what the depth of the EXR is: planar (along the camera's axis), distance (along the "
+        "pixel's ray), negative (z of a camera that looks along −z), or by renderer: blender, "
+        "karma, mitsuba; planar unless stated"
+    ),
+]
+
+NormalXyz = Annotated[
+    str,
+    typer.Option(
+        help="the normals' channels that hold x,y,z (right, up, to the viewer), with a minus where "
+        "one points the other way: b,g,r or =r,-g,-b"
+    ),
+]
+
 
 class Green(str, Enum):
     """Which way green points in a normal map."""
@@ -58,6 +75,8 @@ def render(
         float | None, typer.Option(help="horizontal field of view of the EXR's camera, degrees")
     ] = None,
     smooth: Annotated[float, typer.Option(help="smooth the EXR's depth by so many pixels")] = 0.0,
+    depth: Depth = None,
+    normal_xyz: NormalXyz = "r,g,b",
     tolerance: Annotated[
         float, typer.Option(help="for an EXR: the radiance a pixel may be wrong by, to save time")
     ] = 0.0,
@@ -93,6 +112,8 @@ def render(
                 channels=named,
                 fov_deg=fov,
                 smooth_px=smooth,
+                depth=depth,
+                xyz=normal_xyz,
                 exposure_ev=stops,
                 tolerance=tolerance,
                 memory=limit,
@@ -114,6 +135,8 @@ def render(
                 channels=named,
                 fov_deg=fov,
                 smooth_px=smooth,
+                depth=depth,
+                xyz=normal_xyz,
                 tolerance=tolerance,
             )
         used = save_picture(image, output, loaded, exposure_ev=stops)
@@ -158,6 +181,8 @@ def relight(
     fov: Annotated[
         float | None, typer.Option(help="of an EXR with depth instead of normals, degrees")
     ] = None,
+    depth: Depth = None,
+    normal_xyz: NormalXyz = "r,g,b",
     elevation: Annotated[
         float, typer.Option(help="of the ring of lamps above the picture, degrees")
     ] = 40.0,
@@ -192,6 +217,8 @@ def relight(
             coded="linear" if linear else "srgb",
             elevation_deg=elevation,
             fov_deg=fov,
+            depth=depth,
+            xyz=normal_xyz,
             green=green.value,
             exposure_ev=stops_of(exposure),
         )

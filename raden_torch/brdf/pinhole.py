@@ -1,0 +1,53 @@
+"""A pinhole camera's matrix, and the rays through its pixels."""
+
+from __future__ import annotations
+
+from math import radians, tan
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from raden_torch.errors import InputError
+
+Y_UP = (1.0, -1.0, -1.0)
+"""x right, y down, z forward → x right, y up, z to the viewer."""
+
+
+def pinhole_matrix(
+    intrinsics: Tensor | ArrayLike | None, fov_deg: float | None, size: tuple[int, int]
+) -> Tensor | None:
+    """`[3, 3]` float32 in pixels, y down; None where neither is given.
+
+    Args:
+        fov_deg: the horizontal angle of view of square pixels around the centre of `size`, which
+            is height and width.
+    """
+    if intrinsics is not None and fov_deg is not None:
+        raise InputError("intrinsics and fov_deg are both given; one of them was wanted")
+    height, width = size
+    if fov_deg is not None:
+        if not 0 < fov_deg < 180:
+            raise InputError(f"fov_deg {fov_deg:g}; an angle between 0 and 180 was wanted")
+        focal = width / 2 / tan(radians(fov_deg) / 2)
+        centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
+        intrinsics = np.array([[focal, 0, centre_x], [0, focal, centre_y], [0, 0, 1]])
+    if intrinsics is None:
+        return None
+    matrix = torch.as_tensor(intrinsics, dtype=torch.float32)
+    usable = matrix.shape == (3, 3) and bool(torch.isfinite(matrix).all())
+    if not usable or float(matrix[0, 0]) <= 0 or float(matrix[1, 1]) <= 0:
+        raise InputError(
+            f"intrinsics {matrix.tolist()}; a matrix [3, 3] with focal lengths above 0 was wanted"
+        )
+    return matrix
+
+
+def rays(matrix: Tensor, top: int, bottom: int, width: int) -> Tensor:
+    """`[1, 3, rows, W]` from the camera through each pixel, with −1 along z (y up)."""
+    inverse = torch.linalg.inv(matrix.double()) * torch.tensor(Y_UP).double()[:, None]
+    u, v, one = inverse[:, :, None, None].unbind(1)
+    across = u * torch.arange(width, dtype=torch.float64) + one
+    down = v * torch.arange(top, bottom, dtype=torch.float64)[:, None]
+    return torch.stack([(a + d).float() for a, d in zip(across, down, strict=True)])[None]
