@@ -11,7 +11,6 @@ row. A spreadsheet's error cells ("#N/A") are neither comments nor numbers.
 from __future__ import annotations
 
 import csv
-import io
 import re
 from array import array
 from collections.abc import Collection, Iterator, Sequence
@@ -70,7 +69,7 @@ def _read_plain(table: CsvTable) -> tuple[NDArray[np.float64], bool] | None:
     if not re.search(r"^[^#\n]", body, re.MULTILINE):
         return None  # nothing but comments
     try:
-        values = np.loadtxt(io.StringIO(body), delimiter=separator, ndmin=2, comments="#")
+        values = np.loadtxt(body.split("\n"), delimiter=separator, ndmin=2, comments="#")
     except ValueError:
         return None
     return (values, decimal_commas) if values.shape[1] == len(table.columns) else None
