@@ -245,7 +245,7 @@ def _metadata(path: Path, header: _Header) -> Metadata:
     stated = re.search(r"\b(D50|D55|D60|D65|D75|A|C|E)\s*$", quantity)
     ten_degrees = re.search(r"CIE 1964|\b10 deg", quantity)
     return Metadata(
-        sample=entries.get("material", ""),
+        sample=entries.get("material") or entries.get("sample", ""),
         instrument=entries.get("instrument", ""),
         white=entries.get("white") or (stated[1] if stated else "D65"),
         observer=entries.get("observer")
