@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import raden_torch as rt
-from raden_torch.brdf.score import score
+from raden_torch.brdf.fitting.score import score
 from raden_torch.capture.spectrometer.adaptive import make_adaptive_plan
 from raden_torch.capture.spectrometer.cells import grid, random_cells
 from raden_torch.capture.spectrometer.rehearsal import rehearse

@@ -154,7 +154,7 @@ void differentiate(Scene& scene, raden::Gradient& wanted, float* sums, double* b
 }  // namespace
 
 NB_MODULE(_kernel, m) {
-    m.doc() = "The fused evaluation of a raden model; see raden_torch/brdf/kernel.py.";
+    m.doc() = "The fused evaluation of a raden model; see raden_torch/brdf/model/kernel.py.";
     m.def("levels", &levels, "Instruction sets that this machine has, the fastest last.");
     nb::class_<ModelOf>(m, "Model")
         .def(nb::init<>())

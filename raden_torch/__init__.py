@@ -13,18 +13,18 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "BrdfMeasurement": "raden_torch.measurement",
-    "DirectionalLight": "raden_torch.brdf.lights",
-    "GBuffer": "raden_torch.brdf.gbuffer",
-    "PointLight": "raden_torch.brdf.lights",
-    "RadenBrdf": "raden_torch.brdf.model",
-    "SpotLight": "raden_torch.brdf.lights",
+    "DirectionalLight": "raden_torch.brdf.shading.lights",
+    "GBuffer": "raden_torch.brdf.shading.gbuffer",
+    "PointLight": "raden_torch.brdf.shading.lights",
+    "RadenBrdf": "raden_torch.brdf.model.model",
+    "SpotLight": "raden_torch.brdf.shading.lights",
     "export_onnx": "raden_torch.export.export",
-    "fit": "raden_torch.brdf.fit",
+    "fit": "raden_torch.brdf.fitting.fit",
     "load_measurement": "raden_torch.capture.importers",
-    "load_model": "raden_torch.brdf.model_file",
+    "load_model": "raden_torch.brdf.files.model_file",
     "raden_angles": "raden_torch.geometry",
-    "save_model": "raden_torch.brdf.model_file",
-    "shade": "raden_torch.brdf.shade",
+    "save_model": "raden_torch.brdf.files.model_file",
+    "shade": "raden_torch.brdf.shading.shade",
     "simulate_specimen": "raden_torch.optics",
     "vectors_from_angles": "raden_torch.geometry",
 }
@@ -48,12 +48,12 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from raden_torch.brdf.fit import fit
-    from raden_torch.brdf.gbuffer import GBuffer
-    from raden_torch.brdf.lights import DirectionalLight, PointLight, SpotLight
-    from raden_torch.brdf.model import RadenBrdf
-    from raden_torch.brdf.model_file import load_model, save_model
-    from raden_torch.brdf.shade import shade
+    from raden_torch.brdf.files.model_file import load_model, save_model
+    from raden_torch.brdf.fitting.fit import fit
+    from raden_torch.brdf.model.model import RadenBrdf
+    from raden_torch.brdf.shading.gbuffer import GBuffer
+    from raden_torch.brdf.shading.lights import DirectionalLight, PointLight, SpotLight
+    from raden_torch.brdf.shading.shade import shade
     from raden_torch.capture.importers import load_measurement
     from raden_torch.export.export import export_onnx
     from raden_torch.geometry import raden_angles, vectors_from_angles

@@ -23,15 +23,15 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf import simd
-from raden_torch.brdf.fit import fit
-from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.lights import DirectionalLight
-from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.score import Score, angle_maps, score_of
-from raden_torch.brdf.shade import shade
-from raden_torch.brdf.shapes import sphere
-from raden_torch.brdf.stress import worst_errors
+from raden_torch.brdf.fitting.fit import fit
+from raden_torch.brdf.fitting.score import Score, angle_maps, score_of
+from raden_torch.brdf.model import simd
+from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.gbuffer import GBuffer
+from raden_torch.brdf.shading.lights import DirectionalLight
+from raden_torch.brdf.shading.shade import shade
+from raden_torch.brdf.shading.shapes import sphere
+from raden_torch.brdf.shading.stress import worst_errors
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
@@ -322,8 +322,8 @@ def _ratios(
 
 def _reference_naive() -> Shader:
     """The naive form of a plain table of the paper's size, for schemes that have none."""
-    from raden_torch.brdf.model import CosineDiffuse
-    from raden_torch.brdf.table import ReflectanceTable
+    from raden_torch.brdf.model.model import CosineDiffuse
+    from raden_torch.brdf.model.table import ReflectanceTable
 
     table = ReflectanceTable(torch.ones(15, 29, 29, 3), (0.0, -70.0, -70.0), (5.0, 5.0, 5.0))
     model = RadenBrdf(CosineDiffuse(torch.ones(3), torch.ones(3)), table)

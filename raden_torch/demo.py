@@ -15,14 +15,14 @@ from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from torch import Tensor
 
-from raden_torch.brdf.fit import FitResult, fit
-from raden_torch.brdf.image_file import Photograph, write_photograph
-from raden_torch.brdf.lacquer import Lacquer
-from raden_torch.brdf.lights import DirectionalLight
-from raden_torch.brdf.model_file import save_model
-from raden_torch.brdf.plate import plate
-from raden_torch.brdf.score import score
-from raden_torch.brdf.shade import shade
+from raden_torch.artwork.lacquer import Lacquer
+from raden_torch.artwork.plate import plate
+from raden_torch.brdf.files.image_file import Photograph, write_photograph
+from raden_torch.brdf.files.model_file import save_model
+from raden_torch.brdf.fitting.fit import FitResult, fit
+from raden_torch.brdf.fitting.score import score
+from raden_torch.brdf.shading.lights import DirectionalLight
+from raden_torch.brdf.shading.shade import shade
 from raden_torch.errors import InputError
 from raden_torch.export.check import ExportReport
 from raden_torch.export.export import export_onnx

@@ -13,9 +13,10 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.display import auto_exposure_ev, to_display, write_picture
-from raden_torch.brdf.gbuffer_file import GBufferFile, read_gbuffer, write_image
-from raden_torch.brdf.image_file import (
+from raden_torch.artwork.plate import plate, shade_plate
+from raden_torch.brdf.files.display import auto_exposure_ev, to_display, write_picture
+from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer, write_image
+from raden_torch.brdf.files.image_file import (
     Photograph,
     check_photograph,
     read_mask,
@@ -23,15 +24,14 @@ from raden_torch.brdf.image_file import (
     read_photograph,
     write_photograph,
 )
-from raden_torch.brdf.lights import DirectionalLight, Light, PointLight
-from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.model_file import load_model
-from raden_torch.brdf.normal_axes import Green
-from raden_torch.brdf.plate import plate, shade_plate
-from raden_torch.brdf.relight import lamp_ring, relight, relit_under, tiled
-from raden_torch.brdf.shade import shade, warn_if_black
-from raden_torch.brdf.shade_file import shade_file
-from raden_torch.brdf.shapes import average_samples, sphere
+from raden_torch.brdf.files.model_file import load_model
+from raden_torch.brdf.files.normal_axes import Green
+from raden_torch.brdf.files.shade_file import shade_file
+from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
+from raden_torch.brdf.shading.relight import lamp_ring, relight, relit_under, tiled
+from raden_torch.brdf.shading.shade import shade, warn_if_black
+from raden_torch.brdf.shading.shapes import average_samples, sphere
 from raden_torch.errors import InputError
 from raden_torch.files import check_outputs
 

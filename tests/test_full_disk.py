@@ -21,9 +21,9 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.display import write_picture
-from raden_torch.brdf.image_file import Photograph, write_photograph
-from raden_torch.brdf.model import CosineDiffuse
+from raden_torch.brdf.files.display import write_picture
+from raden_torch.brdf.files.image_file import Photograph, write_photograph
+from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.capture.photo.result_file import write_result
 from raden_torch.capture.photo.simulation import photo_file
 from raden_torch.errors import InputError

@@ -19,7 +19,7 @@ from PIL import Image, ImageCms
 from typer.testing import CliRunner
 
 import raden_torch as rt
-from raden_torch.brdf.model import CosineDiffuse
+from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.capture.photo.ball import Ball
 from raden_torch.capture.photo.board import Board, BoardView
 from raden_torch.capture.photo.camera import Calibration, Camera, Pose, write_camera

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
 from raden_torch import RadenBrdf, fit, simulate_specimen
-from raden_torch.brdf.diffuse_fit import fit_diffuse
+from raden_torch.brdf.fitting.diffuse_fit import fit_diffuse
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.plots import (

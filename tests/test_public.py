@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -62,3 +65,24 @@ def test_heavy_packages_are_imported_where_they_are_used(statement: str, absent:
         [sys.executable, "-c", script], capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == []
+
+
+def test_every_module_says_in_its_first_line_what_it_is_for() -> None:
+    package = Path(raden_torch.__file__).parent
+    silent = [
+        str(path.relative_to(package))
+        for path in package.rglob("*.py")
+        if not (ast.get_docstring(ast.parse(path.read_text("utf-8"))) or "").strip()
+    ]
+    assert not silent
+
+
+def test_the_files_that_the_map_names_are_there() -> None:
+    package = Path(raden_torch.__file__).parent
+    names = {path.name for path in package.rglob("*.py")} | {
+        path.name for path in (package.parent / "kernel").iterdir()
+    }
+    text = (package.parent / "docs/architecture.md").read_text("utf-8")
+    named = re.findall(r"`(?:[\w/]*/)?(\w+\.(?:py|cpp|h))`", text)
+    assert len(named) > 40
+    assert set(named) <= names, set(named) - names

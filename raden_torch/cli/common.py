@@ -14,7 +14,7 @@ from raden_torch.errors import InputError
 from raden_torch.files import is_same_file
 
 if TYPE_CHECKING:
-    from raden_torch.brdf.lights import Light
+    from raden_torch.brdf.shading.lights import Light
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -88,7 +88,7 @@ def progress(what: str) -> Iterator[Callable[[float], None]]:
 
 
 def light_of(text: str) -> Light:
-    from raden_torch.brdf.lights import DirectionalLight, PointLight
+    from raden_torch.brdf.shading.lights import DirectionalLight, PointLight
 
     kind, colon, numbers = text.rpartition(":")
     if colon and kind != "point":

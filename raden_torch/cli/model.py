@@ -13,7 +13,7 @@ from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
 
 if TYPE_CHECKING:
-    from raden_torch.brdf.model import RadenBrdf
+    from raden_torch.brdf.model.model import RadenBrdf
     from raden_torch.measurement import BrdfMeasurement
 
 
@@ -58,9 +58,9 @@ def fit(
         loaded = load_measurement(measurement)
         off_grid = None if validation is None else load_measurement(validation)
     with working("fitting"):
-        from raden_torch.brdf.diffuse_fit import DiffuseParameters
-        from raden_torch.brdf.fit import fit as fit_model
-        from raden_torch.brdf.model_file import save_model
+        from raden_torch.brdf.files.model_file import save_model
+        from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
+        from raden_torch.brdf.fitting.fit import fit as fit_model
 
         by_hand = None
         if diffuse_scale is not None and diffuse_exponent is not None:
@@ -96,7 +96,7 @@ def info(
     if system == (file is not None):
         raise InputError("info: give a FILE, or --system")
     if file is None:
-        from raden_torch.brdf.simd import system_report
+        from raden_torch.brdf.model.simd import system_report
 
         print(system_report())
         return
@@ -132,7 +132,7 @@ def _compared(first: Path, second: Path) -> str:
 
 
 def _scored(model: Path, readings: Path) -> str:
-    from raden_torch.brdf.score import score
+    from raden_torch.brdf.fitting.score import score
     from raden_torch.measurement import BrdfMeasurement
 
     loaded = load(model)
@@ -217,7 +217,7 @@ def export(
     ] = False,
 ) -> None:
     """Write a model as an ONNX shader for other programs, checked in ONNX Runtime."""
-    from raden_torch.brdf.model_file import load_model
+    from raden_torch.brdf.files.model_file import load_model
     from raden_torch.export.export import export_onnx
 
     check_output(output, (".onnx",), inputs=(model,))
@@ -291,7 +291,7 @@ def load(path: Path) -> BrdfMeasurement | RadenBrdf:
 
     name = kind_of(path).name
     if name == "a model":
-        from raden_torch.brdf.model_file import load_model
+        from raden_torch.brdf.files.model_file import load_model
 
         return load_model(path)
     if name != "a measurement":

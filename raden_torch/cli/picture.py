@@ -86,7 +86,7 @@ def render(
     ] = "4G",
 ) -> None:
     """Light a shape, or an EXR G-buffer, with a model."""
-    from raden_torch.brdf.display import PICTURE_SUFFIXES, check_picture_path
+    from raden_torch.brdf.files.display import PICTURE_SUFFIXES, check_picture_path
     from raden_torch.pictures import (
         render_gbuffer,
         render_gbuffer_file,
@@ -101,7 +101,7 @@ def render(
     stops, limit = stops_of(exposure), bytes_of(memory)
     named = dict(pair("--channel", text) for text in channel or ())
     if gbuffer is not None and output.suffix.lower() == ".exr":
-        from raden_torch.brdf.model_file import load_model
+        from raden_torch.brdf.files.model_file import load_model
 
         with progress("rendering") as shown:
             used = render_gbuffer_file(
@@ -122,7 +122,7 @@ def render(
         print(f"wrote {output} (exposure {used:+.2f} stops)")
         return
     with working("rendering"):
-        from raden_torch.brdf.model_file import load_model
+        from raden_torch.brdf.files.model_file import load_model
 
         loaded = load_model(model)
         if gbuffer is None:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.export.expected import REGIONS, Expected, expected
 from raden_torch.export.runtimes import Runtime, Skipped, one_line
 from raden_torch.export.stress import cases

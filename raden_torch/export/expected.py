@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf import simd
-from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.lights import DirectionalLight, Light, PointLight
-from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.shade import shade
+from raden_torch.brdf.model import simd
+from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.gbuffer import GBuffer
+from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
+from raden_torch.brdf.shading.shade import shade
 from raden_torch.export.profiles import GAINS, ports
 
 REGIONS = ("general", "steep", "L near V", "any length", "L parallel to V", "not vectors")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError, check_type
 from raden_torch.export import onnx_file
 from raden_torch.export.check import ExportReport, RuntimeResult, StressSet

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 import raden_torch
-from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.model_file import COLOUR, QUANTITY, assemble, describe
+from raden_torch.brdf.files.model_file import COLOUR, QUANTITY, assemble, describe
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.export.profiles import GAINS, Port, output_doc, ports
 from raden_torch.export.runtimes import needed, one_line

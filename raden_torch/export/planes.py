@@ -16,8 +16,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.model.table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.geometry import XYZ_DIM
 

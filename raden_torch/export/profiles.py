@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 
 PROFILES = ("gbuffer", "scene")

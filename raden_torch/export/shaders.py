@@ -7,7 +7,7 @@ import copy
 import torch
 from torch import Tensor, nn
 
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.export.planes import PlanarBrdf, unit, xyz
 from raden_torch.export.profiles import GAINS, Port
 

@@ -8,7 +8,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.export.profiles import Port, ports
 
 _SEED = 2012

@@ -67,8 +67,8 @@ def _layers(channels: dict[str, Any]) -> list[str]:
 
 def _gbuffer(file: ExrRows) -> str:
     """Whether `raden render --gbuffer` finds what it needs."""
-    from raden_torch.brdf.exr_layers import Layers
-    from raden_torch.brdf.gbuffer_file import evidence
+    from raden_torch.brdf.files.exr_layers import Layers
+    from raden_torch.brdf.files.gbuffer_file import evidence
 
     try:
         layers = Layers.of(file, None)

@@ -10,7 +10,7 @@ import numpy as np
 from raden_torch.measurement import BrdfMeasurement
 
 if TYPE_CHECKING:
-    from raden_torch.brdf.model import RadenBrdf
+    from raden_torch.brdf.model.model import RadenBrdf
 
 _MOST_ENTRIES = 40
 """Of a header: a scan's report has 18."""
@@ -100,6 +100,6 @@ def describe_measurement_file(path: Path) -> str:
 
 
 def describe_model_file(path: Path) -> str:
-    from raden_torch.brdf.model_file import load_model
+    from raden_torch.brdf.files.model_file import load_model
 
     return describe_model(load_model(path))

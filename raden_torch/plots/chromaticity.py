@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.plots.cuts import SLAB_DEG, Cut, NotMeasuredError, in_words

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
 from raden_torch.measurement.readings import FACTOR_PER_SR
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots.cuts import OUTSIDE_DEG, Cut, NotMeasuredError
 from raden_torch.plots.look import (

@@ -62,7 +62,7 @@ def true_colour(rgb: Floats, white: float | Floats | None = None) -> Floats:
         white: the value that becomes full brightness, one or `[...]`; the largest of all where
             None. Negative values, outside the display's gamut, are clipped; NaN is transparent.
     """
-    from raden_torch.brdf.display import to_display
+    from raden_torch.brdf.files.display import to_display
 
     level = np.array(brightest(rgb) if white is None else white, np.float64, ndmin=1)
     flat = torch.from_numpy((np.nan_to_num(rgb) / level[..., None]).reshape(-1, 3))

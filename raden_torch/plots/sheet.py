@@ -12,8 +12,8 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from raden_torch.brdf.display import check_picture_path
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.files.display import check_picture_path
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement

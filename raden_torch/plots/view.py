@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.diffuse_fit import fit_diffuse
-from raden_torch.brdf.model import CosineDiffuse, RadenBrdf
+from raden_torch.brdf.fitting.diffuse_fit import fit_diffuse
+from raden_torch.brdf.model.model import CosineDiffuse, RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.readings import FACTOR_PER_SR, RGB

@@ -84,7 +84,7 @@ def test_the_error_names_the_call_that_converts(given, call: str, convert) -> No
 
 
 def test_a_lamp_below_the_horizon_is_said(model: rt.RadenBrdf) -> None:
-    from raden_torch.brdf.shade import warn_if_black
+    from raden_torch.brdf.shading.shade import warn_if_black
 
     lamp = rt.DirectionalLight((0.0, 0.0, -1.0))
     image = shaded(model, None, lamp)

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 import raden_torch as rt
-from raden_torch.brdf import simd
-from raden_torch.brdf.model import CosineDiffuse
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model import simd
+from raden_torch.brdf.model.model import CosineDiffuse
+from raden_torch.brdf.model.table import ReflectanceTable
 
 FORMS = [simd.level(), simd.OFF] if simd.LEVELS else [simd.OFF]
 WARM, SIZES = ((6, 5), (7, 9)), ((16, 18), (20, 8), (11, 40))

@@ -10,10 +10,10 @@ import torch
 from scipy import ndimage
 
 import raden_torch as rt
-from raden_torch.brdf.depth import RENDERERS
-from raden_torch.brdf.depth_check import shape_by_distance
-from raden_torch.brdf.gbuffer_file import read_gbuffer
-from raden_torch.brdf.pinhole import pinhole_matrix, rays
+from raden_torch.brdf.files.depth_check import shape_by_distance
+from raden_torch.brdf.files.gbuffer_file import read_gbuffer
+from raden_torch.brdf.files.pinhole import pinhole_matrix, rays
+from raden_torch.brdf.shading.depth import RENDERERS
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from raden_torch.brdf.diffuse import diffuse
-from raden_torch.brdf.diffuse_fit import DiffuseParameters, angle_from_mirror, fit_diffuse
+from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters, angle_from_mirror, fit_diffuse
+from raden_torch.brdf.model.diffuse import diffuse
 from raden_torch.errors import InputError
 from raden_torch.geometry import raden_angles, vectors_from_angles
 

@@ -12,8 +12,8 @@ import torch
 from scipy.interpolate import RegularGridInterpolator
 
 import raden_torch as rt
-from raden_torch.brdf.diffuse_fit import DiffuseParameters
-from raden_torch.brdf.score import reflectance_factors, score
+from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
+from raden_torch.brdf.fitting.score import reflectance_factors, score
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 

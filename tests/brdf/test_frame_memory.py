@@ -8,13 +8,13 @@ import sys
 
 import pytest
 
-from raden_torch.brdf import simd
+from raden_torch.brdf.model import simd
 
 MEASURED = """
 import sys, torch
 import raden_torch as rt
-from raden_torch.brdf.model import CosineDiffuse
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model.model import CosineDiffuse
+from raden_torch.brdf.model.table import ReflectanceTable
 
 def peak():  # of this process; ru_maxrss would begin with the parent's
     with open("/proc/self/status") as status:

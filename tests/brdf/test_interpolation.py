@@ -11,8 +11,8 @@ import torch
 from scipy.interpolate import Akima1DInterpolator
 
 import raden_torch as rt
-from raden_torch.brdf.bake import bake
-from raden_torch.brdf.score import reflectance_factors, score
+from raden_torch.brdf.fitting.bake import bake
+from raden_torch.brdf.fitting.score import reflectance_factors, score
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.grid import AngleGrid
@@ -106,7 +106,7 @@ def test_baking_keeps_nodes_and_the_size_asked_for() -> None:
 
 
 def _table(baked):
-    from raden_torch.brdf.table import ReflectanceTable
+    from raden_torch.brdf.model.table import ReflectanceTable
 
     first, step = (0.0, -70.0, -70.0), (5.0, 5.0, 5.0)
     return ReflectanceTable(torch.from_numpy(baked.values), first, step, baked.pieces)

@@ -156,7 +156,7 @@ def test_real_paint_from_one_plane(shared: Path) -> None:
     inside = (truth.incidence_deg <= 70) & (
         np.maximum(abs(truth.receiving_deg), abs(truth.tilt_deg)) <= 70
     )
-    from raden_torch.brdf.score import reflectance_factors
+    from raden_torch.brdf.fitting.score import reflectance_factors
     from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 
     truth = truth.select(inside)

@@ -10,15 +10,15 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.model import CosineDiffuse
+from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.errors import InputError
 
 
 @pytest.fixture(scope="module")
 def model() -> rt.RadenBrdf:
     """A small random model: every branch is reached, nothing is smooth."""
-    from raden_torch.brdf.model import Provenance
-    from raden_torch.brdf.table import ReflectanceTable
+    from raden_torch.brdf.model.model import Provenance
+    from raden_torch.brdf.model.table import ReflectanceTable
 
     generator = torch.Generator().manual_seed(0)
     table = torch.rand(8, 15, 15, 3, generator=generator)

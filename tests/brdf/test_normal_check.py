@@ -12,12 +12,12 @@ import pytest
 import torch
 from scipy import ndimage
 
-from raden_torch.brdf.gbuffer_file import GBufferFile, read_gbuffer
-from raden_torch.brdf.image_file import read_normal_map
-from raden_torch.brdf.normal_axes import NormalAxes
-from raden_torch.brdf.normal_check import _curls, warn_of_normals
-from raden_torch.brdf.plate import plate
-from raden_torch.brdf.shapes import sphere
+from raden_torch.artwork.plate import plate
+from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
+from raden_torch.brdf.files.image_file import read_normal_map
+from raden_torch.brdf.files.normal_axes import NormalAxes
+from raden_torch.brdf.files.normal_check import _curls, warn_of_normals
+from raden_torch.brdf.shading.shapes import sphere
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
 

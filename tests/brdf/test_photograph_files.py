@@ -18,14 +18,14 @@ import torch
 from PIL import Image
 
 import raden_torch as rt
-from raden_torch.brdf.image_file import (
+from raden_torch.brdf.files.image_file import (
     Photograph,
     read_mask,
     read_normal_map,
     read_photograph,
     write_photograph,
 )
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model.table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.images.exr import read_channels, write_channels
 from raden_torch.pictures import relight_files

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from raden_torch.brdf.display import auto_exposure_ev, to_display, write_picture
-from raden_torch.brdf.shapes import average_samples, sphere
+from raden_torch.brdf.files.display import auto_exposure_ev, to_display, write_picture
+from raden_torch.brdf.shading.shapes import average_samples, sphere
 from raden_torch.errors import InputError
 
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.lacquer import Lacquer, fresnel, ggx, smith
-from raden_torch.brdf.motif import inlay, pieces
-from raden_torch.brdf.plate import plate, shade_plate
+from raden_torch.artwork.lacquer import Lacquer, fresnel, ggx, smith
+from raden_torch.artwork.motif import inlay, pieces
+from raden_torch.artwork.plate import plate, shade_plate
 from raden_torch.errors import InputError
 
 

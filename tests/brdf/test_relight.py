@@ -11,15 +11,15 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.image_file import (
+from raden_torch.brdf.files.image_file import (
     Photograph,
     read_mask,
     read_normal_map,
     read_photograph,
     write_photograph,
 )
-from raden_torch.brdf.relight import lamp_ring, matching_gain, relight, relit_strip
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.shading.relight import lamp_ring, matching_gain, relight, relit_strip
 from raden_torch.errors import InputError
 
 

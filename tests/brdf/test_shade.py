@@ -8,8 +8,8 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.model import CosineDiffuse
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model.model import CosineDiffuse
+from raden_torch.brdf.model.table import ReflectanceTable
 from raden_torch.errors import InputError
 
 

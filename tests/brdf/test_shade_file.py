@@ -12,11 +12,11 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf import gbuffer_file
-from raden_torch.brdf.gbuffer_file import GBufferFile, read_colour, read_gbuffer, write_image
-from raden_torch.brdf.model import CosineDiffuse
-from raden_torch.brdf.shade_file import shade_file
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.files import gbuffer_file
+from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_colour, read_gbuffer, write_image
+from raden_torch.brdf.files.shade_file import shade_file
+from raden_torch.brdf.model.model import CosineDiffuse
+from raden_torch.brdf.model.table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels, write_parts
 from raden_torch.pictures import render_gbuffer_file

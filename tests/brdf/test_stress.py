@@ -10,8 +10,8 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.diffuse_fit import DiffuseParameters
-from raden_torch.brdf.stress import invalid_vectors, regions, worst_errors
+from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
+from raden_torch.brdf.shading.stress import invalid_vectors, regions, worst_errors
 
 NOISY = {"L near V, too near", "L near V, not unit"}
 
@@ -63,7 +63,7 @@ def test_half_precision_maps_are_finite_everywhere(shell, half: torch.dtype) -> 
 
 @pytest.mark.parametrize("exponent", [0.01, 0.5, 1.0, 50.0])
 def test_gradients_are_finite_in_every_region(shell, exponent: float) -> None:
-    from raden_torch.brdf.model import CosineDiffuse
+    from raden_torch.brdf.model.model import CosineDiffuse
 
     diffuse = CosineDiffuse(torch.ones(3), torch.full((3,), exponent))
     model = rt.RadenBrdf(diffuse, shell.table, diffuse_gain=0.7)

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raden_torch as rt
-from raden_torch.brdf import kernel, simd
-from raden_torch.brdf.lit_sphere import lit_sphere
-from raden_torch.brdf.model import CosineDiffuse
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model import kernel, simd
+from raden_torch.brdf.model.model import CosineDiffuse
+from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.shading.lit_sphere import lit_sphere
 from raden_torch.errors import InputError
 
 needs_kernel = pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")

@@ -16,9 +16,9 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.display import to_display
-from raden_torch.brdf.image_file import read_normal_map, read_photograph
-from raden_torch.brdf.relight import relight
+from raden_torch.brdf.files.display import to_display
+from raden_torch.brdf.files.image_file import read_normal_map, read_photograph
+from raden_torch.brdf.shading.relight import relight
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES, MODULES = ROOT / "examples", ROOT / "runtimes/node_modules"

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.model import CosineDiffuse
+from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.export.check import ExportReport
 
 

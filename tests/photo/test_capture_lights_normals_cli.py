@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from raden_torch.brdf.image_file import read_normal_map
+from raden_torch.brdf.files.image_file import read_normal_map
 from raden_torch.capture.photo.capture_normals import capture_normals
 from raden_torch.errors import InputError
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from raden_torch.brdf.image_file import read_mask as read_relighting_mask
+from raden_torch.brdf.files.image_file import read_mask as read_relighting_mask
 from raden_torch.capture.photo.photo_set import check_exposure, read_mask, read_set
 from raden_torch.errors import InputError
 

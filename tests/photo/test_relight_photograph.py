@@ -8,8 +8,8 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.relight import lamp_ring, relight, relit_under, texture_of, tiled
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.shading.relight import lamp_ring, relight, relit_under, texture_of, tiled
 
 N = 48
 

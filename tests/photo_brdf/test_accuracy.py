@@ -94,7 +94,7 @@ def test_a_plane_and_a_rod_on_the_board(board: Any, case: str) -> None:
 
 def test_the_measurement_is_a_file_and_makes_a_model(sphere: Any, tmp_path: Path) -> None:
     import raden_torch as rt
-    from raden_torch.brdf.score import score
+    from raden_torch.brdf.fitting.score import score
 
     found = sphere.run(16, radius=110.0)
     found.measurement.save(tmp_path / "shell.csv")

@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.diffuse_fit import DiffuseParameters, fit_diffuse
-from raden_torch.brdf.fit_report import FitReport, make_report
-from raden_torch.brdf.interpolated_table import choose_interpolation, make_table
-from raden_torch.brdf.model import CosineDiffuse, Provenance, RadenBrdf
-from raden_torch.brdf.tabulate import Tabulated, tabulate
+from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters, fit_diffuse
+from raden_torch.brdf.fitting.fit_report import FitReport, make_report
+from raden_torch.brdf.fitting.interpolated_table import choose_interpolation, make_table
+from raden_torch.brdf.fitting.tabulate import Tabulated, tabulate
+from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.errors import check_type
 from raden_torch.measurement import BrdfMeasurement
 

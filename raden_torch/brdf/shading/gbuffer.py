@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf.depth import depth_kind, in_front, to_planar
-from raden_torch.brdf.lights import Triple, as_map
+from raden_torch.brdf.shading.depth import depth_kind, in_front, to_planar
+from raden_torch.brdf.shading.lights import Triple, as_map
 from raden_torch.errors import InputError
 
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from raden_torch.brdf.diffuse_fit import EXPONENT_BOUNDS, DiffuseParameters
-from raden_torch.brdf.interpolated_table import Choice
-from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.tabulate import Tabulated
+from raden_torch.brdf.fitting.diffuse_fit import EXPONENT_BOUNDS, DiffuseParameters
+from raden_torch.brdf.fitting.interpolated_table import Choice
+from raden_torch.brdf.fitting.tabulate import Tabulated
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.symmetry import reciprocity_error
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.lacquer import Lacquer
-from raden_torch.brdf.lights import Light
-from raden_torch.brdf.model import RadenBrdf
-from raden_torch.brdf.motif import inlay
-from raden_torch.brdf.shade import shade
-from raden_torch.brdf.shapes import camera_rays, check_rays
+from raden_torch.artwork.lacquer import Lacquer
+from raden_torch.artwork.motif import inlay
+from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.gbuffer import GBuffer
+from raden_torch.brdf.shading.lights import Light
+from raden_torch.brdf.shading.shade import shade
+from raden_torch.brdf.shading.shapes import camera_rays, check_rays
 from raden_torch.errors import InputError
 
 _DOME, _ROLL, _ROLL_WIDTH, _CORNER = 0.06, 0.025, 0.10, 0.12

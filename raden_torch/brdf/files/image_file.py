@@ -13,10 +13,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from raden_torch.brdf.exr_layers import Layers
-from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.normal_axes import Green, NormalAxes
-from raden_torch.brdf.normal_check import warn_of_normals
+from raden_torch.brdf.files.exr_layers import Layers
+from raden_torch.brdf.files.normal_axes import Green, NormalAxes
+from raden_torch.brdf.files.normal_check import warn_of_normals
+from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import (
     SRGB_SPACE,
@@ -164,7 +164,7 @@ def _stored(values: Tensor, levels: int | None) -> NDArray[Any]:
 
 def _exr_photograph(path: str | os.PathLike[str]) -> Photograph:
     """With the alpha of the layer that the colours are in."""
-    from raden_torch.brdf.gbuffer_file import read_colour, stacked
+    from raden_torch.brdf.files.gbuffer_file import read_colour, stacked
 
     colour = read_colour(path)
     file = ExrRows(path)
@@ -244,7 +244,7 @@ def read_normal_map(
     """
     axes = NormalAxes.of(xyz, green)
     if Path(path).suffix.lower() == ".exr":
-        from raden_torch.brdf.gbuffer_file import read_gbuffer
+        from raden_torch.brdf.files.gbuffer_file import read_gbuffer
 
         normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg, depth=depth, xyz=str(axes)))
     else:

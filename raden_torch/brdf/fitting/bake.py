@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from raden_torch.arrays import Floats, Ints
-from raden_torch.brdf.table import Pieces
+from raden_torch.brdf.model.table import Pieces
 from raden_torch.reflectance.interpolation import Interpolant
 from raden_torch.reflectance.log_readings import LUMINANCE
 

@@ -10,9 +10,10 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf import kernel
-from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.lights import (
+from raden_torch.brdf.model import kernel
+from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.gbuffer import GBuffer
+from raden_torch.brdf.shading.lights import (
     DirectionalLight,
     Light,
     PointLight,
@@ -21,8 +22,7 @@ from raden_torch.brdf.lights import (
     as_map,
     packed,
 )
-from raden_torch.brdf.lit_sphere import LitSphere, lit_sphere
-from raden_torch.brdf.model import RadenBrdf
+from raden_torch.brdf.shading.lit_sphere import LitSphere, lit_sphere
 from raden_torch.errors import InputError, check_type
 
 _LAMPS_NAMED = 4

@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 from torch.autograd import forward_ad
 
-from raden_torch.brdf import simd
+from raden_torch.brdf.model import simd
 from raden_torch.geometry import XYZ_DIM
 
 if TYPE_CHECKING:
-    from raden_torch.brdf.lit_sphere import LitSphere
-    from raden_torch.brdf.model import RadenBrdf
+    from raden_torch.brdf.model.model import RadenBrdf
+    from raden_torch.brdf.shading.lit_sphere import LitSphere
 
 try:
     from raden_torch.brdf import _kernel  # type: ignore[attr-defined, unused-ignore]
@@ -312,8 +312,8 @@ torch.library.register_autograd("raden_torch::brdf", _gradient, setup_context=_k
 
 def _eager(normal: Tensor, light: Tensor, view: Tensor, *arguments: Any) -> Tensor:
     """The eager form as a function of the operator's arguments, for gradients of gradients."""
-    from raden_torch.brdf.model import CosineDiffuse, RadenBrdf
-    from raden_torch.brdf.table import ReflectanceTable
+    from raden_torch.brdf.model.model import CosineDiffuse, RadenBrdf
+    from raden_torch.brdf.model.table import ReflectanceTable
 
     values, cuts, first_deg, step_deg, scale, exponent, diffuse_gain, specular_gain = arguments
     pieces: Any = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.bake import bake
-from raden_torch.brdf.table import ReflectanceTable
-from raden_torch.brdf.tabulate import Tabulated
+from raden_torch.brdf.fitting.bake import bake
+from raden_torch.brdf.fitting.tabulate import Tabulated
+from raden_torch.brdf.model.table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix

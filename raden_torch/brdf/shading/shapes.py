@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.gbuffer import GBuffer
+from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.errors import InputError
 
 

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor, nn
 
 from raden_torch import geometry
-from raden_torch.brdf import kernel
-from raden_torch.brdf.diffuse import diffuse
-from raden_torch.brdf.table import ReflectanceTable
+from raden_torch.brdf.model import kernel
+from raden_torch.brdf.model.diffuse import diffuse
+from raden_torch.brdf.model.table import ReflectanceTable
 from raden_torch.errors import InputError
 
 

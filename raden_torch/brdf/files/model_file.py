@@ -11,8 +11,8 @@ from typing import Any
 
 import torch
 
-from raden_torch.brdf.model import CosineDiffuse, Provenance, RadenBrdf
-from raden_torch.brdf.table import Pieces, ReflectanceTable
+from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
+from raden_torch.brdf.model.table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, written_beside
 

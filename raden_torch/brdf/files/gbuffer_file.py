@@ -18,7 +18,13 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from raden_torch.brdf.depth import (
+from raden_torch.brdf.files.depth_check import warn_of_other_kind
+from raden_torch.brdf.files.exr_layers import Key, Layers
+from raden_torch.brdf.files.normal_axes import NormalAxes
+from raden_torch.brdf.files.normal_check import warn_of_normals
+from raden_torch.brdf.files.normal_coding import Evidence, decoded, has_negative
+from raden_torch.brdf.files.pinhole import Y_UP, pinhole_matrix, rays
+from raden_torch.brdf.shading.depth import (
     FAR,
     LARGEST_HALF,
     MAX_SMOOTH_PX,
@@ -29,14 +35,8 @@ from raden_torch.brdf.depth import (
     to_planar,
     warn_of_steps,
 )
-from raden_torch.brdf.depth_check import warn_of_other_kind
-from raden_torch.brdf.exr_layers import Key, Layers
-from raden_torch.brdf.gbuffer import GBuffer
-from raden_torch.brdf.lights import Triple
-from raden_torch.brdf.normal_axes import NormalAxes
-from raden_torch.brdf.normal_check import warn_of_normals
-from raden_torch.brdf.normal_coding import Evidence, decoded, has_negative
-from raden_torch.brdf.pinhole import Y_UP, pinhole_matrix, rays
+from raden_torch.brdf.shading.gbuffer import GBuffer
+from raden_torch.brdf.shading.lights import Triple
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
 from raden_torch.images.exr_rows import WRITTEN_LINES, ExrRows

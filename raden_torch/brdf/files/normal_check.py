@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-from raden_torch.brdf.normal_axes import NormalAxes
+from raden_torch.brdf.files.normal_axes import NormalAxes
 
 AWAY = 0.1
 """The share of normals that may face away; of those with z below −`AWAY`. A wide lens sees some."""

@@ -1,0 +1,1 @@
+"""What the demonstration shows: a lacquered plate with a motif in raden."""

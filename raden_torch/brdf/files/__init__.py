@@ -1,0 +1,1 @@
+"""Models, G-buffers, photographs and pictures as files."""

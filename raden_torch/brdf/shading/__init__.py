@@ -1,0 +1,1 @@
+"""From a model to an image: G-buffer, lights, shading, relighting."""
