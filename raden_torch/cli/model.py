@@ -17,6 +17,13 @@ if TYPE_CHECKING:
     from raden_torch.measurement import BrdfMeasurement
 
 
+class Outside(str, Enum):
+    """What stands beyond the measured angles."""
+
+    continued = "continued"
+    diffuse = "diffuse"
+
+
 class Symmetry(str, Enum):
     """What may be assumed of a sample."""
 
@@ -47,6 +54,13 @@ def fit(
         Symmetry | None,
         typer.Option(help="of the sample: then one plane, one view or one side suffices"),
     ] = None,
+    outside: Annotated[
+        Outside,
+        typer.Option(
+            help="beyond the measured angles: continue what was measured, or the diffuse formula "
+            "alone (the paper)"
+        ),
+    ] = Outside.continued,
 ) -> None:
     """Fit a model to a measurement and report how well."""
     from raden_torch.capture.importers import load_measurement
@@ -74,6 +88,7 @@ def fit(
             interpolation=interpolation,
             validation=off_grid,
             assume=None if assume is None else assume.value,
+            outside=outside.value,
         )
         save_model(result.model, output)
     print(f"{loaded!r}\n{result.report}\nwrote {output}")

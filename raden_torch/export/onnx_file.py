@@ -39,7 +39,7 @@ _ANGLES = (
 )
 _INVALID = (
     "0 where a vector is zero or not finite, and where the light or the viewer is below the "
-    "horizon; outside the measured angles the specular part fades to 0 over one step of the table"
+    "horizon; beyond the table's angles the specular part fades to 0 over one of its steps"
 )
 
 

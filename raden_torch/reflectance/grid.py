@@ -69,6 +69,12 @@ class AngleGrid(NamedTuple):
         """`[A, R, T, 3]`, the angles of every node."""
         return np.stack(np.meshgrid(*self, indexing="ij"), axis=-1)
 
+    def part(self, smaller: AngleGrid) -> tuple[slice, slice, slice]:
+        """Where the nodes of a smaller grid of the same steps lie in this one."""
+        first = np.rint((smaller.low - self.low) / self.step).astype(int)
+        a, r, t = (slice(i, i + n) for i, n in zip(first, smaller.shape, strict=True))
+        return a, r, t
+
     def every_second(self) -> AngleGrid:
         return AngleGrid(*(axis[::2] for axis in self))
 

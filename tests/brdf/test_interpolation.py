@@ -225,4 +225,4 @@ def test_a_baked_model_survives_its_file(analytic, tmp_path: Path, random_vector
     vectors = [random_vectors(500, seed) for seed in (1, 2, 3)]
     assert again.table.pieces == model.table.pieces
     assert torch.equal(again(*vectors), model(*vectors))
-    assert (tmp_path / "m.safetensors").stat().st_size < 2_000_000
+    assert (tmp_path / "m.safetensors").stat().st_size < 3_000_000

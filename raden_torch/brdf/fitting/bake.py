@@ -14,6 +14,8 @@ import numpy as np
 
 from raden_torch.arrays import Floats, Ints
 from raden_torch.brdf.model.table import Pieces
+from raden_torch.reflectance.continuation import Continued
+from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.interpolation import Interpolant
 from raden_torch.reflectance.log_readings import LUMINANCE
 
@@ -35,7 +37,7 @@ class Baked:
 
 
 def bake(
-    function: Interpolant,
+    function: Interpolant | Continued,
     nodes: int = NODES,
     seed: int = 0,
     *,
@@ -44,11 +46,13 @@ def bake(
     """Cut the cells and write the function into the nodes.
 
     Args:
+        function: one that is continued is cut in its box alone.
         like: a function that is read sooner and needs the same cuts.
-        nodes: the most nodes the table may have.
+        nodes: the most nodes the table may have in the box.
         seed: of the points at which the error of a cut is measured.
     """
-    pieces = allocate(like or function, nodes, seed)
+    inner = function.inner if isinstance(function, Continued) else function
+    pieces = _longer(allocate(like or inner, nodes, seed), inner.grid, function.grid)
     axes = [_nodes(cuts) for cuts in pieces]
     step, first = function.grid.step, function.grid.low
     cells = len(pieces[0])
@@ -58,11 +62,30 @@ def bake(
     receiving = function.grid.receiving_deg
     margin = _MARGIN * step[1] + 1e-9
     used = (angles[..., 1] >= receiving[0] - margin) & (angles[..., 1] <= receiving[-1] + margin)
-    values = np.zeros((*used.shape, function.cap.shape[-1]))
+    values = np.zeros((*used.shape, inner.cap.shape[-1]))
     values[used] = function(angles[used])
     if function.grid.is_mirrored:
         _average_equivalents(values, len(pieces[0]), pieces[1])
     return Baked(values, pieces)
+
+
+def _longer(pieces: Pieces, inner: AngleGrid, whole: AngleGrid) -> Pieces:
+    """The pieces of a larger grid's cells: one, where the smaller grid has no cell."""
+    before = np.rint((inner.low - whole.low) / whole.step).astype(int)
+    after = np.rint((whole.high - inner.high) / whole.step).astype(int)
+    along = (
+        (before[0], after[0]),
+        (before[1] + after[0], after[1] + before[0]),
+        (before[2], after[2]),
+    )
+    a, across, t = (
+        (*(1,) * int(low), *cuts, *(1,) * int(high))
+        for cuts, (low, high) in zip(pieces, along, strict=True)
+    )
+    if whole.is_mirrored:  # at incidence 0, r − a runs over the last of its cells: alike both ways
+        even = map(max, across[len(a) :], across[: len(a) - 1 : -1])
+        across = (*across[: len(a)], *even)
+    return a, across, t
 
 
 def _average_equivalents(values: Floats, cells: int, across: tuple[int, ...]) -> None:

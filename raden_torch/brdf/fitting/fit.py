@@ -13,8 +13,10 @@ from raden_torch.brdf.fitting.fit_report import FitReport, make_report
 from raden_torch.brdf.fitting.interpolated_table import choose_interpolation, make_table
 from raden_torch.brdf.fitting.tabulate import Tabulated, tabulate
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
-from raden_torch.errors import check_type
+from raden_torch.errors import InputError, check_type
 from raden_torch.measurement import BrdfMeasurement
+
+OUTSIDE = ("continued", "diffuse")
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ def fit(
     interpolation: str = "auto",
     validation: BrdfMeasurement | None = None,
     assume: str | None = None,
+    outside: str = "continued",
 ) -> FitResult:
     """Fit the model of Take (2012) to a measurement.
 
@@ -47,6 +50,8 @@ def fit(
         assume: "isotropic", of a sample whose turn in its own plane changes nothing: then readings
             on one side (tilt ≥ 0), in one plane or of one view suffice; see
             `reflectance.isotropic`. The report says what was measured and what follows.
+        outside: what stands beyond the measured angles: "continued", what was measured continues
+            to the horizon (`reflectance.continuation`); "diffuse", the paper's rule, eq. (6) alone.
 
     Returns:
         The model (float32, on the CPU) and a report.
@@ -58,13 +63,17 @@ def fit(
     """
     hint = "load_measurement reads one from a file"
     check_type("measurement", measurement, BrdfMeasurement, hint)
+    if outside not in OUTSIDE:
+        raise InputError(f"outside: expected {' or '.join(OUTSIDE)}, got {outside!r}")
     table = tabulate(measurement, assume)
     parameters = diffuse or fit_diffuse(*_for_diffuse(table))
     part = _diffuse_part(parameters)
     total = _without_gaps(table, part)
     chosen = choose_interpolation(table, total, interpolation, validation)
-    model = RadenBrdf(part, make_table(table, total, chosen.scheme))
-    report = make_report(measurement, table, model, parameters, chosen, fitted=diffuse is None)
+    model = RadenBrdf(part, make_table(table, total, chosen.scheme, outside))
+    report = make_report(
+        measurement, table, model, parameters, chosen, fitted=diffuse is None, outside=outside
+    )
     meta = measurement.metadata
     model.provenance = Provenance(
         meta.sample, meta.instrument, meta.simulated, measurement.sha256, report.as_dict()

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 import torch
 
 from raden_torch.brdf.fitting.diffuse_fit import EXPONENT_BOUNDS, DiffuseParameters
+from raden_torch.brdf.fitting.hemisphere import Shares, directional_albedo, shares
 from raden_torch.brdf.fitting.interpolated_table import Choice
 from raden_torch.brdf.fitting.tabulate import Tabulated
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.symmetry import reciprocity_error
+
+_UNKNOWN = Shares(float("nan"), float("nan"), float("nan"))
+_OUTSIDE = {
+    "continued": "there what was measured continues",
+    "diffuse": "there the diffuse part stands alone",
+}
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,10 @@ class FitReport:
         diffuse_share: the diffuse part's share of the sum of all readings.
         interpolation, interpolation_why, interpolation_losses: see `interpolated_table.Choice`.
         assumption: what was assumed of the sample, and how far readings bear it out; may be empty.
+        hemisphere: which shares of all pairs of directions were measured, filled within the
+            measured box, and lie outside it.
+        outside: what stands there: "continued" or "diffuse".
+        albedo: directional albedo by incidence in degrees, in its highest channel.
         warnings: one sentence each.
     """
 
@@ -58,6 +69,9 @@ class FitReport:
     interpolation_losses: dict[str, float]
     from_assumption: int = 0
     assumption: str = ""
+    hemisphere: Shares = _UNKNOWN
+    outside: str = "diffuse"
+    albedo: dict[float, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -81,6 +95,14 @@ class FitReport:
             f"(R, G, B); {_percent(self.diffuse_share)} of all that was measured",
             f"residual at the readings: {self.reading_rms:.2e} of the 99.9 % quantile (RMS)",
         ]
+        lines += [
+            f"of all pairs of directions {_percent(self.hemisphere.measured)} were measured, "
+            f"{_percent(self.hemisphere.filled)} filled within the measured box, "
+            f"{_percent(self.hemisphere.outside)} lie outside it: {_OUTSIDE[self.outside]}",
+            "directional albedo: "
+            + ", ".join(f"{albedo:.3g} at {angle:g}" for angle, albedo in self.albedo.items())
+            + " deg of incidence",
+        ]
         compared = ", ".join(f"{k} {v:.2f}" for k, v in self.interpolation_losses.items())
         lines.append(
             f"between the nodes: {self.interpolation}, {self.interpolation_why}"
@@ -97,6 +119,7 @@ def make_report(
     chosen: Choice,
     *,
     fitted: bool,
+    outside: str,
 ) -> FitReport:
     """Compare the model with the readings and say where its table comes from."""
     with torch.no_grad():
@@ -108,6 +131,7 @@ def make_report(
     level, total = float(np.quantile(truth.mean(axis=1), 0.999)), float(truth.sum())
     read = np.where(table.measured, table.before_averaging.mean(axis=-1), np.nan)
     reciprocity = reciprocity_error(table.grid, read)
+    albedo = directional_albedo(model)
     return FitReport(
         cells=int(table.measured.size),
         scattered=table.scattered is not None,
@@ -128,7 +152,14 @@ def make_report(
         interpolation_losses=chosen.losses,
         from_assumption=int(table.assumed.sum()),
         assumption=table.assumption,
-        warnings=(*table.warnings, *_warnings(measurement, table, parameters, fitted)),
+        hemisphere=shares(table),
+        outside=outside,
+        albedo=albedo,
+        warnings=(
+            *table.warnings,
+            *_warnings(measurement, table, parameters, fitted),
+            *_albedo_warning(albedo),
+        ),
     )
 
 
@@ -163,6 +194,17 @@ def _warnings(
             )
         )
     return tuple(found)
+
+
+def _albedo_warning(albedo: dict[float, float]) -> tuple[str, ...]:
+    incidence, highest = max(albedo.items(), key=lambda item: item[1])
+    if highest <= 1:
+        return ()
+    return (
+        f"the directional albedo is {highest:.3g} at incidence {incidence:g} deg: more light "
+        "leaves than arrives; the measurement's scale is too high, or so is what stands beside "
+        "the measured angles",
+    )
 
 
 def _percent(share: float) -> str:

@@ -11,11 +11,13 @@ import torch
 from raden_torch.arrays import Floats
 from raden_torch.brdf.fitting.bake import bake
 from raden_torch.brdf.fitting.tabulate import Tabulated
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import FACTOR_PER_SR
+from raden_torch.reflectance.continuation import continued
+from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.interpolation import SCHEMES, Interpolant, interpolate, why_not
 from raden_torch.reflectance.log_readings import LUMINANCE, LogReadings
 from raden_torch.reflectance.scattered import KRIGING, through_readings
@@ -74,15 +76,34 @@ def choose_interpolation(
     return Choice(best(found), "best on nodes held out of the measurement", found)
 
 
-def make_table(table: Tabulated, total: Floats, scheme: str) -> ReflectanceTable:
-    """The model's table: the nodes themselves for trilinear, else the interpolator baked."""
-    first, step = (tuple(values.tolist()) for values in (table.grid.low, table.grid.step))
+def make_table(table: Tabulated, total: Floats, scheme: str, outside: str) -> ReflectanceTable:
+    """The model's table: the nodes themselves for trilinear, else the interpolator baked.
+
+    Args:
+        outside: "continued": the table reaches to the horizon; "diffuse": it ends with the box.
+    """
+    if scheme == "trilinear" and outside == "diffuse":
+        return _as_table(table.grid, total)
+    xyz = _xyz_factors(total)
+    function, like = _function(table, xyz, scheme)
+    reaching = continued(function, xyz) if outside == "continued" else function
     if scheme == "trilinear":
-        return ReflectanceTable(torch.from_numpy(total).float(), first, step)
-    function, like = _function(table, _xyz_factors(total), scheme)
-    baked = bake(function, like=like)
-    values = baked.values @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
-    return ReflectanceTable(torch.from_numpy(values).float(), first, step, baked.pieces)
+        values = _f_r(reaching(reaching.grid.nodes_deg().reshape(-1, 3)))
+        whole = values.reshape(*reaching.grid.shape, 3)
+        whole[reaching.grid.part(table.grid)] = total  # measured nodes to the bit
+        return _as_table(reaching.grid, whole)
+    baked = bake(reaching, like=like)
+    return _as_table(reaching.grid, _f_r(baked.values), baked.pieces)
+
+
+def _as_table(grid: AngleGrid, f_r: Floats, pieces: Pieces | None = None) -> ReflectanceTable:
+    first, step = (tuple(values.tolist()) for values in (grid.low, grid.step))
+    return ReflectanceTable(torch.from_numpy(f_r).float(), first, step, pieces)
+
+
+def _f_r(xyz: Floats) -> Floats:
+    """XYZ reflectance factors → f_r in linear RGB."""
+    return np.asarray(xyz @ xyz_to_rgb_matrix().T / FACTOR_PER_SR)
 
 
 def _xyz_factors(f_r: Floats) -> Floats:

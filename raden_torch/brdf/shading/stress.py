@@ -15,6 +15,7 @@ from torch import Tensor
 from raden_torch.geometry import dot, normalised, vectors_from_angles
 
 Vectors = tuple[Tensor, Tensor, Tensor]
+_HORIZON = 4 * torch.finfo(torch.float32).eps
 Shader = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
@@ -24,7 +25,8 @@ class RegionError:
 
     Attributes:
         worst, typical: the largest and the 99 % quantile of |f − f64| cos θi, what an image shows,
-            over the peak of f64 over all regions.
+            over the peak of f64 over all regions. Directions within rounding of the horizon, where
+            f ends at a step, do not count.
         finite: True where nothing but finite values came back.
     """
 
@@ -105,10 +107,19 @@ def worst_errors(shader: Shader, reference: Shader, n: int = 2000) -> dict[str, 
     for name, vectors in sets.items():
         value = shader(*(v.float() for v in vectors))
         cosine = dot(normalised(vectors[0]), normalised(vectors[1])).clamp(min=0)
-        error = ((value.double() - truths[name]).abs() * cosine / peak).flatten()
+        error = (value.double() - truths[name]).abs() * cosine / peak
+        error = torch.where(_at_the_horizon(*vectors), torch.zeros_like(error), error).flatten()
         finite = bool(torch.isfinite(value).all())
         found[name] = RegionError(float(error.max()), float(error.quantile(0.99)), finite)
     return found
+
+
+def _at_the_horizon(normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
+    """Where float32 cannot tell whether light or viewer is above the horizon, below which f is 0:
+    their cosine is within rounding of 0."""
+    n = normalised(normal)
+    cosines = [dot(n, normalised(v)).abs() for v in (light, view)]
+    return torch.minimum(*cosines) < _HORIZON
 
 
 class _Maker:
