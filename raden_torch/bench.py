@@ -37,6 +37,7 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import FACTOR_PER_SR
 from raden_torch.optics import simulate_specimen
+from raden_torch.packages import require
 from raden_torch.reflectance.interpolation import SCHEMES
 
 SPECIMEN = "yakogai"
@@ -103,6 +104,7 @@ def run_bench(
     Returns:
         The path of the plot.
     """
+    require("benchmarks", "plots")
     simulated = measurement is None or readings is None
     if measurement is None or readings is None:
         measurement, readings = simulated_pair()
