@@ -72,6 +72,7 @@ def main() -> None:
     sys.meta_path.insert(0, Refuses(modules))
     done = {"errors": fitted(folder), "commands": [raden(*command) for command in commands]}
     done["imported"] = sorted(modules & {name.partition(".")[0] for name in sys.modules})
+    done["file"] = sys.modules["raden_torch"].__file__
     json.dump(done, sys.stdout)
 
 

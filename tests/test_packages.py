@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import ast
 import json
+import os
 import re
 import subprocess
 import sys
+import sysconfig
+import venv
+import zipfile
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 import raden_torch
 from raden_torch.errors import InputError
@@ -51,9 +58,48 @@ ASKS = {  # a command: what needs the extra, and the extra
 }
 
 
-@pytest.fixture(scope="module")
-def core(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    """What happens in a process that has the core alone."""
+def built_wheel(folder: Path) -> Path:
+    """The project's own wheel, without the kernel."""
+    build = [sys.executable, "-m", "pip", "wheel", str(PROJECT), "-w", str(folder), "--no-deps"]
+    build += ["--no-build-isolation", "--no-index", "--config-settings", "wheel.cmake=false"]
+    done = subprocess.run(build, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return next(folder.glob("*.whl"))
+
+
+def required(names: set[str]) -> set[str]:
+    """Distributions and all that they require, by name."""
+    found: set[str] = set()
+    while names:
+        name = names.pop()
+        found.add(name)
+        wanted = map(Requirement, metadata.requires(name) or ())
+        needed = {r.name for r in wanted if r.marker is None or r.marker.evaluate({"extra": ""})}
+        names |= {canonicalize_name(one) for one in needed} - found
+    return found
+
+
+def python_with_the_wheel(folder: Path) -> Path:
+    """An environment of the wheel and what the core requires, linked from this environment."""
+    venv.create(folder / "env", with_pip=False, symlinks=True)
+    place = {"base": str(folder / "env"), "platbase": str(folder / "env")}
+    site = Path(sysconfig.get_path("purelib", vars=place))
+    with zipfile.ZipFile(built_wheel(folder)) as wheel:
+        wheel.extractall(site)
+    for name in required(set(CORE)):
+        files = metadata.distribution(name).files or []
+        for top in {file.parts[0] for file in files} - {"..", "__pycache__"}:
+            if not (site / top).exists():
+                (site / top).symlink_to(metadata.distribution(name).locate_file(top))
+    return Path(sysconfig.get_path("scripts", vars=place)) / "python"
+
+
+@pytest.fixture(scope="module", params=["hook", pytest.param("wheel", marks=pytest.mark.slow)])
+def core(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, Any]]:
+    """What happens in a process that has the core alone: here, where the rest is refused, and in
+    an environment with the project's wheel and nothing else."""
     folder = tmp_path_factory.mktemp("core")
     (folder / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
     (folder / "a.exr").write_bytes(b"\x76\x2f\x31\x01" + bytes(100))
@@ -63,16 +109,24 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     raden_torch.simulate_specimen("yakogai", step_deg=35, spectral=True).save(folder / "bands.csv")
     names = {"folder": str(folder), "shell": str(folder / "shell.safetensors")}
     commands = [[a.format(**names) for a in line.split()] for line in (*WORKS, *ASKS)]
-    refused = {*MODULES, "drjit", "onnx_ir", "openvino"}
+    if request.param == "wheel":
+        pytest.importorskip("pip")
+        pytest.importorskip("scikit_build_core")
+        python, refused = python_with_the_wheel(folder), set()
+    else:
+        python, refused = Path(sys.executable), {*MODULES, "drjit", "onnx_ir", "openvino"}
     done = subprocess.run(
-        [sys.executable, str(Path(__file__).with_name("core_only.py")), str(folder), *refused],
+        [str(python), str(Path(__file__).with_name("core_only.py")), str(folder), *refused],
         input=json.dumps(commands),
         capture_output=True,
         text=True,
         timeout=300,
+        env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"},
     )
     assert done.returncode == 0, done.stderr
-    return folder, json.loads(done.stdout)
+    found = json.loads(done.stdout)
+    assert (request.param == "wheel") == Path(found["file"]).is_relative_to(folder)
+    return folder, found
 
 
 def test_the_core_fits_saves_loads_and_shades(core: tuple[Path, dict[str, Any]]) -> None:
