@@ -362,7 +362,7 @@ def _plot(rows: list[Row], chosen: str, measurement: BrdfMeasurement, path: Path
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     markers = dict(zip(dict.fromkeys(row.backend for row in rows), "osD^vP", strict=False))
     colours = dict(
-        zip(SCHEMES, ("#444444", "#0072b2", "#56b4e9", "#e69f00", "#009e73"), strict=True)
+        zip(SCHEMES, ("#444444", "#0072b2", "#009e73", "#e69f00", "#56b4e9"), strict=False)
     )
     kinds = (("rms", "RMS / 99.9 % quantile of Y"), ("log_error", "mean |Δ log(1+Y)|"))
     for ax, (kind, label) in zip(figure.subplots(1, 2), kinds, strict=True):
