@@ -37,6 +37,7 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import FACTOR_PER_SR
 from raden_torch.optics import simulate_specimen
+from raden_torch.packages import require
 from raden_torch.reflectance.interpolation import SCHEMES
 
 SPECIMEN = "yakogai"
@@ -103,6 +104,7 @@ def run_bench(
     Returns:
         The path of the plot.
     """
+    require("benchmarks", "plots")
     simulated = measurement is None or readings is None
     if measurement is None or readings is None:
         measurement, readings = simulated_pair()
@@ -360,7 +362,7 @@ def _plot(rows: list[Row], chosen: str, measurement: BrdfMeasurement, path: Path
     figure = Figure(figsize=(11, 4.8), layout="constrained")
     markers = dict(zip(dict.fromkeys(row.backend for row in rows), "osD^vP", strict=False))
     colours = dict(
-        zip(SCHEMES, ("#444444", "#0072b2", "#56b4e9", "#e69f00", "#009e73"), strict=True)
+        zip(SCHEMES, ("#444444", "#0072b2", "#009e73", "#e69f00", "#56b4e9"), strict=False)
     )
     kinds = (("rms", "RMS / 99.9 % quantile of Y"), ("log_error", "mean |Δ log(1+Y)|"))
     for ax, (kind, label) in zip(figure.subplots(1, 2), kinds, strict=True):

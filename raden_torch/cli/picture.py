@@ -22,6 +22,7 @@ from raden_torch.cli.common import (
 )
 from raden_torch.errors import InputError
 from raden_torch.files import check_output
+from raden_torch.packages import require
 
 Depth = Annotated[
     str | None,
@@ -232,6 +233,7 @@ def demo(
     size: Annotated[int, typer.Option(help="picture size in pixels")] = 512,
 ) -> None:
     """Simulate a shell, fit a model to it, light it, and show all of it on a page."""
+    require("the demo's pictures", "images", "plots", "export")
     from raden_torch.demo import run_demo
 
     page = run_demo(out, size=size)

@@ -10,6 +10,7 @@ import typer
 
 from raden_torch.cli.capture import capture
 from raden_torch.cli.common import progress
+from raden_torch.packages import require
 
 
 class Variant(str, Enum):
@@ -47,6 +48,7 @@ def simulate(
     variant: Annotated[Variant, typer.Option(help="of Mitsuba")] = Variant.scalar,
 ) -> None:
     """Photograph a simulated specimen by Mitsuba 3, with everything that is true of it beside."""
+    require("simulated photographs", "simulate")
     from raden_torch.capture.photo.simulation.simulate import Options, simulate_photographs
 
     options = Options(

@@ -18,8 +18,9 @@ from raden_torch.export import onnx_file
 from raden_torch.export.check import ExportReport, RuntimeResult, StressSet
 from raden_torch.export.constants import fix_parameters, is_fixed
 from raden_torch.export.profiles import check_profile, ports
-from raden_torch.export.runtimes import load_onnxruntime, load_others, needed, one_line
+from raden_torch.export.runtimes import load_onnxruntime, load_others, one_line
 from raden_torch.files import check_output, written_beside
+from raden_torch.packages import require
 
 if TYPE_CHECKING:
     import onnx
@@ -63,8 +64,7 @@ def export_onnx(
         raise InputError(f"opset {opset}: {OPSETS[0]} to {OPSETS[-1]} was wanted")
     target = check_output(path, (".onnx",))
     own = _float32(model)
-    for package in ("onnx", "onnxscript", "onnxruntime"):
-        needed(package, "export_onnx")
+    require("exported shaders", "export")
     graph = _graph(own, profile, output, opset)
     if fixed:
         fix_parameters(graph)

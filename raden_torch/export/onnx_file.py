@@ -16,8 +16,9 @@ from raden_torch.brdf.files.model_file import COLOUR, QUANTITY, assemble, descri
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.export.profiles import GAINS, Port, output_doc, ports
-from raden_torch.export.runtimes import needed, one_line
+from raden_torch.export.runtimes import one_line
 from raden_torch.export.trace import PUBLIC
+from raden_torch.packages import require
 
 if TYPE_CHECKING:
     import onnx
@@ -76,7 +77,9 @@ def read_graph(data: bytes) -> onnx.ModelProto:
     Raises:
         InputError: onnx is missing, or its checker refuses the file.
     """
-    onnx = needed("onnx", "reading an ONNX file")
+    require("ONNX files", "export")
+    import onnx
+
     try:
         graph = onnx.load_from_string(data)
         onnx.checker.check_model(data, full_check=True)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.export.workers.worker import PROGRAMS, Worker, WorkerError
+from raden_torch.packages import require
 
 Arrays = dict[str, NDArray[np.float32]]
 Run = Callable[[Arrays], NDArray[np.float32]]
@@ -49,25 +50,15 @@ class Skipped:
     reason: str
 
 
-def needed(module: str, job: str) -> ModuleType:
-    """The module, or one line that says which package to install.
-
-    Raises:
-        InputError: it is not installed.
-    """
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise InputError(f"{job} needs {module}; install it: pip install {module}") from None
-
-
 def onnx_session(data: bytes, threads: int = 0) -> Any:
     """A CPU session of ONNX Runtime that says nothing about the optional inputs.
 
     Raises:
         InputError: onnxruntime is not installed, or it cannot load the file.
     """
-    ort = needed("onnxruntime", "running an exported shader")
+    require("exported shaders", "export")
+    import onnxruntime as ort
+
     options = ort.SessionOptions()
     options.log_severity_level = 3
     options.intra_op_num_threads = threads
@@ -82,8 +73,11 @@ def onnx_session(data: bytes, threads: int = 0) -> Any:
 def load_onnxruntime(data: bytes) -> Runtime:
     """ONNX Runtime on the CPU."""
     session = onnx_session(data)
-    version = needed("onnxruntime", "running an exported shader").__version__
-    return Runtime("onnxruntime", version, lambda inputs: session.run(None, inputs)[0])
+    import onnxruntime
+
+    return Runtime(
+        "onnxruntime", onnxruntime.__version__, lambda inputs: session.run(None, inputs)[0]
+    )
 
 
 def load_others(

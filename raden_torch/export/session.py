@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from raden_torch.arrays import Floats32
 from raden_torch.errors import InputError
 from raden_torch.export.constants import fix_parameters
-from raden_torch.export.runtimes import Arrays, needed, one_line, onnx_session
+from raden_torch.export.runtimes import Arrays, one_line, onnx_session
+from raden_torch.packages import require
 
 TILE = 32_768
 """Pixels a call: their intermediate maps stay in the processor's caches."""
@@ -190,7 +191,9 @@ def _fits(value: Floats32, wanted: tuple[int | str, ...], normal: tuple[int, ...
 
 def _fixed(data: bytes) -> bytes:
     """The file with the model's parameters as constants, which a tile must not pack again."""
-    onnx = needed("onnx", "ShaderSession")
+    require("exported shaders", "export")
+    import onnx
+
     try:
         graph = onnx.load_from_string(data)
     except Exception as error:  # protobuf's errors share no base class but this one

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
+from raden_torch.colorimetry import SRGB, bradford, primary_matrix, xyz_of_white
 from raden_torch.errors import InputError
 from raden_torch.images.header import ColourTags
 from raden_torch.images.icc import ICC_WHITE, Curve, IccProfile, UnknownProfile, parse_icc
 
-SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
-"""x, y of red, green, blue and white (IEC 61966-2-1)."""
 ADOBE_RGB = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290)
 """Adobe RGB (1998), whose curve is the power 563/256."""
 _CICP_PRIMARIES = {
@@ -98,9 +97,7 @@ def to_srgb(chromaticities: tuple[float, ...], path: str | os.PathLike[str]) -> 
         )
     if np.allclose(chromaticities, SRGB, atol=5e-4):
         return None
-    white = np.array(chromaticities[6:]) / chromaticities[7]
-    xyz = np.array([white[0], 1.0, 1 / chromaticities[7] - white[0] - 1])
-    return _from_xyz(_primary_matrix(chromaticities), xyz)
+    return _from_xyz(primary_matrix(chromaticities), xyz_of_white(chromaticities[6:]))
 
 
 def in_srgb(linear: NDArray[np.float32], matrix: Floats | None) -> NDArray[np.float32]:
@@ -172,20 +169,9 @@ def _by_cicp(cicp: tuple[int, int, int, int], path: str | os.PathLike[str]) -> C
 
 
 def _from_xyz(to_xyz: Floats, white: Floats) -> Floats | None:
-    from colour.adaptation import matrix_chromatic_adaptation_VonKries
-
-    srgb = _primary_matrix(SRGB)
-    adapt = matrix_chromatic_adaptation_VonKries(white, srgb.sum(axis=1), transform="Bradford")
-    matrix = np.asarray(np.linalg.solve(srgb, adapt @ to_xyz), np.float64)
+    srgb = primary_matrix(SRGB)
+    matrix = np.asarray(np.linalg.solve(srgb, bradford(white, srgb.sum(axis=1)) @ to_xyz))
     return None if np.abs(matrix - np.eye(3)).max() < _SAME_MATRIX else matrix
-
-
-def _primary_matrix(chromaticities: tuple[float, ...]) -> Floats:
-    """Linear RGB → XYZ, white at Y = 1."""
-    from colour.models import normalised_primary_matrix
-
-    x, y = np.array(chromaticities[:6]).reshape(3, 2), np.array(chromaticities[6:])
-    return np.asarray(normalised_primary_matrix(x, y), np.float64)
 
 
 def _gamma(exponent: float) -> Curve:

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, written_beside
+from raden_torch.packages import require
 
 MAX_PIXELS = 2**26
 """The largest window that is read or written at once, in pixels (8192 x 8192)."""
@@ -136,6 +137,7 @@ def write_arrays(
     Args:
         meant: the file that messages name.
     """
+    require("OpenEXR files", "images")
     import OpenEXR
 
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
@@ -193,6 +195,7 @@ def _check_magic(path: str | os.PathLike[str]) -> None:
 
 def _open(path: str | os.PathLike[str], *, header_only: bool) -> tuple[Any, str]:
     """OpenEXR's file, and what its Python side printed of pixels that it could not read."""
+    require("OpenEXR files", "images")
     import OpenEXR
 
     try:

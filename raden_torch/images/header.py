@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from raden_torch.errors import InputError
+from raden_torch.packages import require
 
 MAX_PIXELS = 178_956_970
 """Pillow's own limit against decompression bombs."""
@@ -83,6 +84,7 @@ def read_header(path: str | os.PathLike[str]) -> Header:
             start = file.read(65536)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; expected {_KNOWN}") from None
+    require("images", "images")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # damaged EXIF, large images
         if start[:4] in _TIFF_STARTS:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
 from raden_torch.images.header import Header, check_size, read_header
+from raden_torch.packages import require
 
 OPAQUE_ENOUGH = 2.0**-16
 """Of floats: colours under less alpha than this are taken as they are, not divided by it."""
@@ -159,6 +160,7 @@ def write_pixels(
     Raises:
         InputError: OpenCV cannot encode them so, or the folder does not exist.
     """
+    require("images", "images")
     import cv2
 
     suffix = Path(path).suffix.lower()
@@ -200,6 +202,7 @@ def draw_caption(pixels: NDArray[Any], caption: str, alpha: NDArray[Any] | None 
 
     OpenCV draws on 8 bits; the strokes are laid over the pixels in their own depth.
     """
+    require("images", "images")
     import cv2
 
     top = np.iinfo(pixels.dtype).max

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raden_torch.errors import InputError
+from raden_torch.packages import require
 
 if TYPE_CHECKING:
     from raden_torch.images.exr_rows import ExrRows
@@ -122,6 +123,7 @@ def describe_image(path: Path) -> str:
 
 def _said(path: Path) -> dict[str, Any]:
     """Format, frames, ICC profile and exposure, as far as Pillow knows the file."""
+    require("images", "images")
     from PIL import Image, UnidentifiedImageError
 
     said: dict[str, Any] = {}

@@ -1,4 +1,4 @@
-"""Spectral bands → XYZ → linear RGB, through colour-science.
+"""Spectral bands → XYZ → linear RGB; bands and rarer whites through colour-science.
 
 All three are reflectance factors on the scale where the perfect reflecting diffuser is 100, so a
 neutral sample has X : Y : Z of the white and R = G = B.
@@ -13,13 +13,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
+from raden_torch.colorimetry import (
+    WHITES_2_DEG,
+    WHITES_10_DEG,
+    XYZ_TO_SRGB,
+    bradford,
+    xyz_of_white,
+)
 from raden_torch.errors import InputError
 from raden_torch.measurement.readings import RGB, WHITE_LEVEL, XYZ, BrdfMeasurement
+from raden_torch.packages import require
 
-_OBSERVERS = {
+_OBSERVERS = {  # as colour-science calls them
     "CIE 1931 2 deg": "CIE 1931 2 Degree Standard Observer",
     "CIE 1964 10 deg": "CIE 1964 10 Degree Standard Observer",
 }
+_WHITES = {"CIE 1931 2 deg": WHITES_2_DEG, "CIE 1964 10 deg": WHITES_10_DEG}
 _VISIBLE_NM = (400.0, 700.0)  # bands must reach this far (within 20 nm) to make a colour
 _MAX_BAND_STEP_NM = 40.0
 
@@ -65,19 +74,10 @@ def matrix_to(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> Floats
 def xyz_to_rgb_matrix(white: str = "D65", observer: str = "CIE 1931 2 deg") -> Floats:
     """`[3, 3]` matrix M with rgb = M @ xyz, both on the same scale; `white` maps to R = G = B.
 
-    Source: IEC 61966-2-1 for the primaries, the Bradford transform for whites other than D65; both
-    through colour-science.
+    Source: IEC 61966-2-1 for the primaries, the Bradford transform for whites other than D65.
     """
-    import colour
-
-    rows = colour.XYZ_to_RGB(
-        np.eye(3),
-        "sRGB",
-        illuminant=_white_xy(white, observer),
-        chromatic_adaptation_transform="Bradford",
-        apply_cctf_encoding=False,
-    )
-    return np.asarray(rows, np.float64).T
+    source, srgb = xyz_of_white(_white_xy(white, observer)), xyz_of_white(WHITES_2_DEG["D65"])
+    return np.asarray(XYZ_TO_SRGB @ bradford(source, srgb))
 
 
 def why_no_colour(measurement: BrdfMeasurement) -> str | None:
@@ -117,12 +117,13 @@ def bands_to_xyz_matrix(measurement: BrdfMeasurement) -> Floats:
     Bands are joined linearly and held constant beyond the first and last, then integrated with
     the colour-matching functions at 1 nm.
     """
-    import colour
-
     bands = measurement.wavelengths_nm
     reason = why_no_colour(measurement)
     if reason:
         raise InputError(f"measurement: {reason}")
+    require("colours of spectral bands", "spectral")
+    import colour
+
     white, observer = measurement.metadata.white, _observer(measurement)
     _white_xy(white, observer)
     if white not in colour.SDS_ILLUMINANTS:
@@ -146,6 +147,9 @@ def _observer(measurement: BrdfMeasurement) -> str:
 
 
 def _white_xy(white: str, observer: str) -> Floats:
+    if white in _WHITES[observer]:
+        return np.array(_WHITES[observer][white])
+    require(f"whites other than {', '.join(_WHITES[observer])}", "spectral")
     import colour
 
     known = colour.CCS_ILLUMINANTS[_OBSERVERS[observer]]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -151,11 +152,9 @@ def directions(angles: Floats) -> tuple[Floats, Floats]:
 
 @cache
 def _bands_to_xyz() -> Floats:
-    """`[bands, 3]`: the XYZ of one unit in each band, by the measurement's own conversion."""
-    unit, zero = np.eye(len(BANDS_NM)), np.zeros(len(BANDS_NM))
-    # a geometry of its own for each, since readings of one geometry must agree
-    receiving = np.linspace(0.0, 80.0, len(BANDS_NM))
-    return BrdfMeasurement(zero, receiving, zero, unit, _band_names()).as_xyz().values
+    """`[bands, 3]`: the XYZ of one unit in each band, a table: no colour-science is needed."""
+    table = Path(__file__).with_name("bands_to_xyz.csv")
+    return np.loadtxt(table, delimiter=",", skiprows=3)[:, 1:]
 
 
 def _band_names() -> tuple[str, ...]:

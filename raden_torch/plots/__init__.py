@@ -5,6 +5,10 @@ Drawn with Matplotlib's objects alone: no pyplot, no windows, no settings change
 imports pyplot for itself; nothing here uses it.)
 """
 
+from raden_torch.packages import require
+
+require("graphs", "plots")
+
 from raden_torch.plots.chromaticity import plot_path
 from raden_torch.plots.comparison import draw_comparison
 from raden_torch.plots.lines import plot_in_plane, plot_over_tilt

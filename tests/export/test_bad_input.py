@@ -81,7 +81,7 @@ def test_a_package_is_missing(
 ) -> None:
     monkeypatch.setitem(sys.modules, package, None)
     call = lambda: export_onnx(matt, tmp_path / "x.onnx")  # noqa: E731
-    refused(tmp_path, call, f"needs {package}", f"pip install {package}")
+    refused(tmp_path, call, f"need {package}", "pip install 'raden_torch[export]'")
 
 
 def test_a_disk_that_fills(

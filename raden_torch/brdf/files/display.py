@@ -12,6 +12,7 @@ from torch import Tensor
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable
 from raden_torch.images.pixels import draw_caption, write_pixels
+from raden_torch.packages import require
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
@@ -40,6 +41,7 @@ def check_picture_path(
     path: str | os.PathLike[str], suffixes: tuple[str, ...] = PICTURE_SUFFIXES
 ) -> None:
     """Raise InputError where a picture could not be written, so before the work is done."""
+    require("pictures", "images")
     path = Path(path)
     if path.suffix.lower() not in suffixes:
         wanted = ", ".join(suffixes)

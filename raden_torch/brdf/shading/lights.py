@@ -95,7 +95,10 @@ class SpotLight:
         return to_light, irradiance * (x * x * (3 - 2 * x))
 
 
-Light = DirectionalLight | PointLight | SpotLight
+KernelLight = DirectionalLight | PointLight | SpotLight
+"""The lights that the fused kernel knows (`packed`)."""
+Light = KernelLight
+"""Every light that `shade` takes; what the kernel does not know is shaded by the eager form."""
 
 
 def as_map(value: Colour, like: Tensor) -> Tensor:
@@ -105,7 +108,7 @@ def as_map(value: Colour, like: Tensor) -> Tensor:
 
 
 def packed(
-    lights: Sequence[Light],
+    lights: Sequence[KernelLight],
     position: Tensor | None,
     like: Tensor,
     may_be_lost: Tensor | float = 0.0,
@@ -122,7 +125,7 @@ def packed(
 
 
 def _row(
-    light: Light, position: Tensor | None, like: Tensor, may_be_lost: Tensor | float
+    light: KernelLight, position: Tensor | None, like: Tensor, may_be_lost: Tensor | float
 ) -> Tensor:
     def columns(value: Colour) -> Tensor:
         return as_map(value, like.new_zeros((), dtype=dtype))[..., 0, 0]

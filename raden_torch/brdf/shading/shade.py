@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import Protocol, cast
+from typing import Protocol, cast, get_args
 
 import torch
 from torch import Tensor
@@ -15,9 +15,8 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import (
     DirectionalLight,
+    KernelLight,
     Light,
-    PointLight,
-    SpotLight,
     Triple,
     as_map,
     packed,
@@ -26,7 +25,7 @@ from raden_torch.brdf.shading.lit_sphere import LitSphere, lit_sphere
 from raden_torch.errors import InputError, check_type
 
 _LAMPS_NAMED = 4
-_LIGHTS = (DirectionalLight, PointLight, SpotLight)
+_LIGHTS = get_args(Light)
 
 
 class Reflection(Protocol):
@@ -125,13 +124,16 @@ def _by_kernel(
     model: RadenBrdf, gbuffer: GBuffer, lights: list[Light], tolerance: float
 ) -> Tensor | None:
     """The fused kernel's image, or None where the eager form has to do it."""
+    known = [light for light in lights if isinstance(light, KernelLight)]
+    if len(known) < len(lights):
+        return None
     normal, position, mask = gbuffer.normal, gbuffer.position, gbuffer.mask
     view = gbuffer.view if isinstance(gbuffer.view, Tensor) else None
     camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
     floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
     # one half for the lights that are left out, one for the lit sphere
     may_be_lost = tolerance / 2 / model.upper_bound() if tolerance > 0 else 0.0
-    lamps = packed(lights, position, normal, may_be_lost)
+    lamps = packed(known, position, normal, may_be_lost)
     inputs = (normal, view, position, camera, floating, lamps)
     if not kernel.takes(model, *inputs) or kernel.asks_for_gradient(model, *inputs):
         return None

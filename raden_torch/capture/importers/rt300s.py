@@ -35,6 +35,7 @@ from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import WHITE_LEVEL, XYZ
 from raden_torch.measurement.text_file import read_content
+from raden_torch.packages import require
 
 MAX_BYTES = 64_000_000
 
@@ -99,6 +100,7 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
 
 
 def _workbook(path: Path) -> Any:
+    require(f"{path}: workbooks of the RT-300S", "xls")
     import xlrd
 
     data = read_content(path, MAX_BYTES)

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from raden_torch.capture.spectrometer.ports import ConnectionLostError
+from raden_torch.packages import require
 
 if TYPE_CHECKING:
     import serial
@@ -62,6 +63,7 @@ class SerialLine:
 
     def open(self) -> None:
         """Open the port, closing it first where it is open."""
+        require("instruments on serial lines", "spectrometer")
         import serial
 
         self.close()

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 
 from raden_torch.arrays import Floats
+from raden_torch.packages import require
 
 LUMINOUS_EFFICACY_LM_PER_W = 683.002
 """Of 540 THz: K_m of CIE 018:2019."""
@@ -32,6 +33,7 @@ def xyz_of(radiance: Floats, wavelengths_nm: Floats) -> Floats:
 @cache
 def colour_matching(first_nm: int, last_nm: int) -> Floats:
     """`(n, 3)` CIE 1931 2° colour-matching functions at 1 nm."""
+    require("spectra", "spectral")
     import colour
 
     table = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy()

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any
 
 from raden_torch.errors import InputError
+from raden_torch.packages import require
 
 SCALAR, LLVM = "scalar_rgb", "llvm_ad_rgb"
 _PROBE = f"""
@@ -25,13 +26,9 @@ def mitsuba(variant: str = SCALAR) -> Any:
     Raises:
         InputError: it is not installed, or the variant does not run here.
     """
-    try:
-        import mitsuba as mi
-    except ImportError:
-        raise InputError(
-            "Mitsuba is not installed; simulated photographs need the extra: "
-            'pip install "raden_torch[simulate]"'
-        ) from None
+    require("simulated photographs", "simulate")
+    import mitsuba as mi
+
     if variant not in (SCALAR, LLVM):
         raise InputError(f"Mitsuba variant {variant!r}; {SCALAR} or {LLVM} was wanted")
     if variant == LLVM and (reason := why_no_llvm()) is not None:

@@ -20,6 +20,7 @@ from raden_torch.capture.spectrometer.spectrum import (
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.packages import require
 
 FIRST_NM, LAST_NM = 380, 780
 
@@ -80,6 +81,7 @@ def make_scene(measurement: BrdfMeasurement, luminance_cd_m2: float) -> Scene:
     Raises:
         InputError: the readings are scattered, or make no colour.
     """
+    require("simulated rigs", "spectrometer")
     import colour
     from scipy.ndimage import distance_transform_edt
 
