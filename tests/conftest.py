@@ -2,7 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
+import subprocess
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TextIO
+from unittest import mock
+
+# before torch is loaded, here and in every process that a test starts: threads that have nothing to
+# do sleep; those that spin take the cores from whatever else runs, and each region tenfold the time
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 import pytest
@@ -24,7 +37,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """The same examples in every run, however long they take; --hypothesis-seed=N looks for
-    others."""
+    others. Workers of pytest-xdist share the cores; two threads each, so that no test of what
+    threads do is left without."""
+    if workers := int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "0")):
+        torch.set_num_threads(max(2, (os.cpu_count() or 1) // workers))
     patient = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
     settings.register_profile("other seeds", **patient)
     settings.register_profile("seeded", derandomize=True, **patient)
@@ -32,10 +48,27 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("seeded" if seed is None else "other seeds")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Under pytest-xdist with `--dist loadgroup`, tests that share costly fixtures stay on one
+    worker: those of a module, and those of the whole folder where exports are kept."""
+    if not config.pluginmanager.hasplugin("xdist"):
+        return
+    for item in items:
+        together = item.path.parent if item.path.parent.name == "export" else item.path
+        item.add_marker(pytest.mark.xdist_group(together.relative_to(config.rootpath).as_posix()))
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "dtype" in metafunc.fixturenames:
         names = metafunc.config.getoption("--dtype").split(",")
         metafunc.parametrize("dtype", [getattr(torch, name) for name in names], ids=names)
+
+
+@pytest.fixture(autouse=True)
+def _the_same_random_numbers_in_any_order() -> None:
+    """A test draws what it draws when it runs alone, whichever ran before it in this process."""
+    torch.manual_seed(0)
 
 
 @pytest.fixture
@@ -54,6 +87,55 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip("no folder `shared` beside the project: real inputs are not here")
     return SHARED
+
+
+@contextlib.contextmanager
+def _caught(name: str) -> Iterator[TextIO]:
+    """A file with all that is written to "stdout" or "stderr", by libraries in C, too."""
+    number = {"stdout": 1, "stderr": 2}[name]
+    kept = os.dup(number)
+    with tempfile.TemporaryFile("w+", encoding="utf-8") as file:
+        file.reconfigure(write_through=True)
+        os.dup2(file.fileno(), number)
+        try:
+            with mock.patch.object(sys, name, file):
+                yield file
+        finally:
+            os.dup2(kept, number)
+            os.close(kept)
+
+
+@pytest.fixture(scope="session")
+def raden() -> Callable[..., subprocess.CompletedProcess[str]]:
+    """The command as a shell runs it, but in this process: nothing is imported again.
+
+    `warn` stands for Python's option -W: "error", or "default" to show warnings. What escapes as an
+    exception, a shell's user would see as a traceback.
+    """
+
+    def run(
+        *arguments: object, cwd: Path | None = None, warn: str = "error"
+    ) -> subprocess.CompletedProcess[str]:
+        from raden_torch.cli import main
+
+        words, before = ["raden", *map(str, arguments)], Path.cwd()
+        with (
+            _caught("stdout") as out,
+            _caught("stderr") as err,
+            mock.patch.object(sys, "argv", words),
+            warnings.catch_warnings(),
+        ):
+            warnings.simplefilter(warn)  # type: ignore[arg-type]
+            os.chdir(cwd or before)
+            try:
+                with pytest.raises(SystemExit) as ended:
+                    main()
+            finally:
+                os.chdir(before)
+            said = [file.seek(0) or file.read() for file in (out, err)]
+        return subprocess.CompletedProcess(words, int(ended.value.code or 0), *said)
+
+    return run
 
 
 @pytest.fixture

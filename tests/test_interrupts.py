@@ -91,6 +91,21 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def wait_until_it_listens(pid: int) -> None:
+    """Until the process has handlers of its own for SIGTERM, however long its start takes here."""
+    if not Path("/proc/self/status").exists():
+        time.sleep(0.5)
+        return
+    deadline = time.monotonic() + 300
+    while True:
+        status = Path(f"/proc/{pid}/status").read_text()
+        caught = next(line for line in status.splitlines() if line.startswith("SigCgt"))
+        if int(caught.split()[1], 16) >> (signal.SIGTERM - 1) & 1:
+            return
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
@@ -121,10 +136,11 @@ def test_a_command_is_stopped(
         stdout=subprocess.DEVNULL,
         text=True,
     )
-    time.sleep(random.Random(f"{words[0]} {name}").uniform(1.0, 2.5))
+    wait_until_it_listens(process.pid)
+    time.sleep(random.Random(f"{words[0]} {name}").uniform(0.5, 2.0))
     number = getattr(signal, name)
     process.send_signal(number)
-    _, said = process.communicate(timeout=60)  # returns when no child holds the pipe any more
+    _, said = process.communicate(timeout=300)  # returns when no child holds the pipe any more
     assert process.returncode == 128 + number, said
     assert "Traceback" not in said
     assert f"stopped by {name}" in said

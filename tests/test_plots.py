@@ -388,6 +388,6 @@ from matplotlib import pyplot
 assert pyplot.get_fignums() == []
 """
     done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, timeout=120
+        [sys.executable, "-W", "error", "-c", program], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr

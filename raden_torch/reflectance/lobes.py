@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from raden_torch.arrays import Floats, Ints
 from raden_torch.reflectance.grid import AngleGrid
+from raden_torch.reflectance.lobe_formula import hats_of, log_sum, log_sum_slopes
 
 SHAPE_KNOTS_DEG = np.array([0.0, 35.0, 55.0, 70.0])
 MOST_LOBES = 3
@@ -60,8 +61,8 @@ class Lobes:
     def __call__(self, incidence: Floats, receiving: Floats, tilt: Floats) -> Floats:
         """The logarithm of the reflectance at angles in degrees."""
         s, u = (incidence + receiving) / 2, (receiving - incidence) / 2
-        hats = _hats(abs(s), self.knots_deg), _hats(abs(s), SHAPE_KNOTS_DEG)
-        return _log_sum(self.amplitude, self.shape, self.centre_deg, self.base, s, u, tilt, *hats)
+        hats = hats_of(abs(s), self.knots_deg), hats_of(abs(s), SHAPE_KNOTS_DEG)
+        return log_sum(self.amplitude, self.shape, self.centre_deg, self.base, s, u, tilt, *hats)
 
 
 def fit_lobes(grid: AngleGrid, logs: Floats) -> Lobes | None:
@@ -109,18 +110,20 @@ class _Problem:
         near = (distance <= _REACH * step / 5) & (s >= 0)
         self.s, self.u, self.t, self.goal = s[near], u[near], t[near], logs[near]
         self.weight = 1 / (1 + (distance[near] / (_WINDOW * step / 5)) ** 2)
-        self.hats = _hats(self.s, grid.incidence_deg), _hats(self.s, SHAPE_KNOTS_DEG)
+        self.hats = hats_of(self.s, grid.incidence_deg), hats_of(self.s, SHAPE_KNOTS_DEG)
         self.low = float(np.quantile(logs, 0.1))
         self.step = step
         m = len(SHAPE_KNOTS_DEG)
         self.shape_prior = np.repeat([[0.0], [np.log(prior[0])], [0.5], [0.0]], m, axis=1)
         self.shape_hold = np.repeat([[0.3], [prior[1]], [1.0], [1.0]], m, axis=1)
+        self.prior_slopes = self._prior_slopes()
 
     def solve(self) -> Lobes:
         fits = [
             least_squares(
                 self._residual,
                 self._start(profile),
+                jac=self._jacobian,
                 bounds=self._bounds(),
                 loss="soft_l1",
                 f_scale=_HUBER,
@@ -141,10 +144,14 @@ class _Problem:
 
     def _residual(self, p: Floats) -> Floats:
         amplitude, shape, centres, base = self._split(p)
-        model = _log_sum(amplitude, shape, centres, base, self.s, self.u, self.t, *self.hats)
+        model = log_sum(amplitude, shape, centres, base, self.s, self.u, self.t, *self.hats)
+        return np.concatenate([self.weight * (model - self.goal), self._prior_residual(p)])
+
+    def _prior_residual(self, p: Floats) -> Floats:
+        """Linear in the parameters."""
+        amplitude, shape, centres, base = self._split(p)
         return np.concatenate(
             [
-                self.weight * (model - self.goal),
                 _HOLD * (self.shape_hold * (shape - self.shape_prior)).ravel(),
                 2 * _HOLD * np.diff(shape, axis=1).ravel(),
                 _HOLD * np.diff(amplitude, 2, axis=1).ravel(),
@@ -152,6 +159,17 @@ class _Problem:
                 [0.05 * _HOLD * (base - self.low)],
             ]
         )
+
+    def _prior_slopes(self) -> Floats:
+        k, n, m = len(self.centres), len(self.axes[0]), len(SHAPE_KNOTS_DEG)
+        one = np.eye(k * n + 4 * m + 2 * k + 1)
+        zero = self._prior_residual(np.zeros(len(one)))
+        return np.stack([self._prior_residual(p) - zero for p in one], axis=1)
+
+    def _jacobian(self, p: Floats) -> Floats:
+        """`[residuals, parameters]`: the derivative of `_residual`."""
+        slopes = log_sum_slopes(*self._split(p), self.s, self.u, self.t, *self.hats)
+        return np.concatenate([self.weight[:, None] * slopes, self.prior_slopes])
 
     def _start(self, profile: float) -> Floats:
         half = 0.52 * self.step
@@ -175,45 +193,6 @@ class _Problem:
             np.concatenate([np.full(amplitudes, -30.0), low, centre - drift, [self.low - 12]]),
             np.concatenate([np.full(amplitudes, 30.0), high, centre + drift, [self.low + 3]]),
         )
-
-
-def _log_sum(
-    amplitude: Floats,
-    shape: Floats,
-    centres: Floats,
-    base: float,
-    s: Floats,
-    u: Floats,
-    t: Floats,
-    amplitude_hats: Floats,
-    shape_hats: Floats,
-) -> Floats:
-    log_k, log_c, b, log_kappa = (shape_hats @ row for row in shape)
-    strength, scale, kappa = np.exp(log_k), np.exp(-2 * log_c), np.exp(log_kappa)
-    sign = np.where(s - u < 0, -1.0, 1.0)  # below incidence 0: (a, r, t) ≡ (−a, −r, −t)
-    z = np.full(np.shape(s), base)
-    for row, (u0, t0) in zip(amplitude, centres, strict=True):
-        q = ((u - sign * u0) ** 2 + kappa * (t - sign * t0) ** 2) * scale
-        z = np.logaddexp(z, amplitude_hats @ row - strength * _barron(q, b))
-    return z
-
-
-def _barron(q: Floats, b: Floats) -> Floats:
-    """Barron (2019), "A general and adaptive robust loss function", eq. (8), with q = (x/c)²."""
-    b = np.where(abs(b) < 1e-3, 1e-3, b)
-    k = abs(b - 2) + 1e-3
-    return k / b * ((q / k + 1) ** (b / 2) - 1)
-
-
-def _hats(x: Floats, knots: Floats) -> Floats:
-    """`[..., n]`: the weights of linear interpolation between knots, constant beyond them."""
-    x = np.clip(x, knots[0], knots[-1])
-    i = np.clip(np.searchsorted(knots, x, side="right") - 1, 0, len(knots) - 2)
-    f = (x - knots[i]) / (knots[i + 1] - knots[i])
-    hats = np.zeros((*np.shape(x), len(knots)))
-    np.put_along_axis(hats, i[..., None], (1 - f)[..., None], -1)
-    np.put_along_axis(hats, i[..., None] + 1, f[..., None], -1)
-    return hats
 
 
 def _find_centres(grid: AngleGrid, logs: Floats) -> Floats:

@@ -50,7 +50,7 @@ def test_a_frame_takes_at_most_a_fifth_more_than_its_output(form) -> None:
         env={key: value for key, value in os.environ.items() if key != simd.VARIABLE},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     assert 0.9 <= float(done.stdout) <= 1.2

@@ -18,6 +18,7 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.interpolation import SCHEMES, interpolate, why_not
 from raden_torch.reflectance.kernels import akima, linear
+from raden_torch.reflectance.lobe_formula import hats_of, log_sum, log_sum_slopes
 from raden_torch.reflectance.lobes import fit_lobes
 from raden_torch.reflectance.scheme_choice import best, hold_out_losses, losses
 
@@ -87,6 +88,28 @@ def test_lobes_find_their_centres_and_decline_what_is_none() -> None:
     assert abs(fitted.centre_deg[:, 0]).max() < 0.5
     noise = np.random.default_rng(0).random(logs.shape)
     assert fit_lobes(GRID, noise) is None
+
+
+def test_the_derivative_of_the_lobes_is_that_of_differences() -> None:
+    """By every parameter, with profiles on both sides of an exponential cusp, and below incidence
+    0; central differences."""
+    random = np.random.default_rng(0)
+    s, u, t = random.uniform([0, -30, -60], [70, 30, 60], (200, 3)).T
+    knots, shape_knots = np.array([0.0, 30.0, 70.0]), np.array([0.0, 70.0])
+    sizes = 6, 8, 4, 1
+    p = random.normal(size=sum(sizes))
+    p[6:14] = [0.1, -0.2, 2.0, 1.5, 0.5, 1.7, 0.3, -0.3]  # log k, log c, b, log κ at two knots
+
+    def parts(p: np.ndarray) -> tuple:
+        amplitude, shape, centres, base = np.split(p, np.cumsum(sizes)[:-1])
+        places = (s, u, t, hats_of(s, knots), hats_of(s, shape_knots))
+        return amplitude.reshape(2, 3), shape.reshape(4, 2), centres.reshape(2, 2), base[0], *places
+
+    step = 1e-5 * np.eye(len(p))
+    differences = [(log_sum(*parts(p + h)) - log_sum(*parts(p - h))) / 2e-5 for h in step]
+    found = log_sum_slopes(*parts(p))
+    assert (abs(found).max(axis=0) > 1e-4).all()
+    np.testing.assert_allclose(found, np.stack(differences, axis=1), rtol=1e-5, atol=1e-8)
 
 
 def test_baking_keeps_nodes_and_the_size_asked_for() -> None:

@@ -85,17 +85,24 @@ def test_what_lights_lose_stays_within_the_tolerance(model, level, tolerance) ->
     assert (lost > 0) == (tolerance >= 0.1)  # and it is made use of
 
 
+SPOTS = lamps(30, rt.SpotLight)
+
+
+@pytest.fixture(scope="module")
+def eager_spots(model) -> torch.Tensor:
+    with simd.using(simd.OFF):
+        return rt.shade(model, plate(64, 200), SPOTS)
+
+
 @needs_kernel
 @pytest.mark.parametrize("level", simd.LEVELS)
-def test_spots_that_shine_past_a_tile_are_not_missed(model, level) -> None:
-    gbuffer, lights = plate(64, 200), lamps(30, rt.SpotLight)
+def test_spots_that_shine_past_a_tile_are_not_missed(model, eager_spots, level) -> None:
+    gbuffer = plate(64, 200)
     with simd.using(level):
-        together = rt.shade(model, gbuffer, lights)
-        one_by_one = sum(rt.shade(model, gbuffer, light) for light in lights)
-    with simd.using(simd.OFF):
-        eager = rt.shade(model, gbuffer, lights)
+        together = rt.shade(model, gbuffer, SPOTS)
+        one_by_one = sum(rt.shade(model, gbuffer, light) for light in SPOTS)
     torch.testing.assert_close(together, one_by_one, rtol=1e-5, atol=1e-5)
-    torch.testing.assert_close(together, eager, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(together, eager_spots, rtol=1e-4, atol=1e-4)
 
 
 @needs_kernel

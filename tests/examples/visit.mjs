@@ -24,11 +24,11 @@ try {
   const page = await context.newPage();
   if (noSimd) await page.addInitScript(() => { WebAssembly.validate = () => false; });
   await page.goto(url);
-  await page.waitForSelector("body[data-ready=true]", { timeout: 60_000 });
+  await page.waitForSelector("body[data-ready=true]", { timeout: 240_000 });
   const settled = async () => {
     await page.waitForTimeout(300);
-    await page.waitForSelector("body[data-ready=true]", { timeout: 60_000 });
-    await page.waitForSelector("body:not([data-drawn=false])", { timeout: 60_000 });
+    await page.waitForSelector("body[data-ready=true]", { timeout: 240_000 });
+    await page.waitForSelector("body:not([data-drawn=false])", { timeout: 240_000 });
   };
   for (const [input, file] of Object.entries(files)) {
     await page.setInputFiles(`#${input}`, file);

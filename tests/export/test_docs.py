@@ -24,7 +24,7 @@ def test_the_examples_run(exported: Callable, shell: rt.RadenBrdf, tmp_path: Pat
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == "(3, 256, 256) yakogai"

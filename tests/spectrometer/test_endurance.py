@@ -23,7 +23,7 @@ def test_nothing_is_lost() -> None:
         [sys.executable, "-W", "error", "-m", module, "--kills", "100", "--least", "3"],
         capture_output=True,
         text=True,
-        timeout=600,
+        timeout=1800,
         env=os.environ | {"OMP_NUM_THREADS": "1"},
     )
     assert done.returncode == 0, done.stdout + done.stderr
