@@ -74,7 +74,7 @@ def render_shape(
         shape: a key of `SHAPES`, which also has the lights and the camera where none are given.
     """
     if shape not in SHAPES:
-        raise InputError(f"shape {shape}: {' or '.join(SHAPES)} was wanted")
+        raise InputError(f"shape: expected {' or '.join(SHAPES)}, got {shape}")
     view = SHAPES[shape]
     lights, camera = lights or view.lights, camera or view.camera
     with torch.no_grad():

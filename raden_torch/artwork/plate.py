@@ -47,7 +47,7 @@ def plate(
     check_rays("plate", size, samples)
     eye = torch.tensor(camera, dtype=torch.float64)
     if not float(eye[2]) > 0.5:
-        raise InputError(f"plate: camera {camera} is not above the plate; z > 0.5 was wanted")
+        raise InputError(f"plate: camera: expected z > 0.5, above the plate, got {camera}")
     half_width = 1.08 * margin / float(eye.norm())
     rays = camera_rays(eye, size * samples, half_width)
     x, y, z = _on_dome(eye, rays)

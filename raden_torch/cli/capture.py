@@ -272,7 +272,7 @@ def normals(
     from raden_torch.plots.sheet import save_plot
 
     if output.exists() and not output.is_dir():
-        raise InputError(f"{output}: is a file; name a folder")
+        raise InputError(f"{output}: expected a folder, got a file")
     photos = without_other_inputs(photos, mask)
     picture = output / "found.png"
     if output.is_dir():
@@ -312,7 +312,7 @@ def _squares(text: str) -> tuple[int, int]:
     try:
         columns, rows = (int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise InputError(f"--squares {text}: columns x rows, as 5x7, was wanted") from None
+        raise InputError(f"--squares: expected columns x rows, as 5x7, got {text}") from None
     return columns, rows
 
 
@@ -322,5 +322,5 @@ def _points(text: str) -> list[list[float]]:
     except ValueError:
         points = []
     if [len(point) for point in points] != [2, 2, 2, 2]:
-        raise InputError(f'--corners {text}: four points as "x,y x,y x,y x,y" were wanted')
+        raise InputError(f'--corners: expected four points as "x,y x,y x,y x,y", got {text}')
     return points

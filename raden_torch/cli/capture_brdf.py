@@ -214,7 +214,9 @@ def _corners(option: str, text: str | None, exactly: int | None = None) -> Float
     fits = len(points) == exactly if exactly else len(points) >= 3
     if not fits or any(len(point) != 2 for point in points) or not np.isfinite(points).all():
         wanted = "two" if exactly else "three or more"
-        raise InputError(f'{option} {text}: {wanted} points in metres, as "0.05,0.05 0.1,0.05"')
+        raise InputError(
+            f'{option}: expected {wanted} points in metres, as "0.05,0.05 0.1,0.05", got {text}'
+        )
     return np.array(points)
 
 

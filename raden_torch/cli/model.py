@@ -137,7 +137,7 @@ def _scored(model: Path, readings: Path) -> str:
 
     loaded = load(model)
     if isinstance(loaded, BrdfMeasurement):
-        raise InputError(f"{model}: is a measurement; --against scores a model")
+        raise InputError(f"--against: expected a model to score, got a measurement ({model})")
     return str(score(loaded, _measurement(readings)))
 
 
@@ -273,9 +273,9 @@ def bench(
     if (measurement is None) != (readings is None):
         raise InputError("--measurement and --readings go together; give both or neither")
     if not 16 <= height <= 8192:
-        raise InputError(f"--height {height}: 16…8192 was wanted")
+        raise InputError(f"--height: expected 16…8192, got {height}")
     if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; name a folder")
+        raise InputError(f"{out}: expected a folder, got a file")
     if out.is_dir():
         results = (out / name for name in OUTPUTS)
         check_outputs(*results, inputs=(measurement, readings))

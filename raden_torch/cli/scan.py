@@ -213,7 +213,7 @@ def _rig_of(
     for name, chance in (pair("--fault", text) for text in faults):
         if name not in {fault.value for fault in Fault}:
             known = ", ".join(fault.value for fault in Fault)
-            raise InputError(f"--fault {name}: is not known; {known} are")
+            raise InputError(f"--fault: expected one of {known}, got {name}")
         chances[Fault(name)] = _number("--fault", chance)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(specimen)
@@ -319,7 +319,7 @@ def _limits(name: str, text: str | None) -> tuple[float, float] | None:
         return None
     low, colon, high = text.partition(":")
     if not colon:
-        raise InputError(f"--{name} {text}: first and last as 0:70 were wanted, in degrees")
+        raise InputError(f"--{name}: expected first and last in degrees, as 0:70, got {text}")
     return _number(f"--{name}", low), _number(f"--{name}", high)
 
 
@@ -327,4 +327,4 @@ def _number(option: str, text: str) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"{option} {text}: a number was wanted") from None
+        raise InputError(f"{option}: expected a number, got {text}") from None

@@ -166,7 +166,6 @@ def _result(
 def _failure(result: RuntimeResult) -> str:
     worst = max(result.regions, key=lambda name: result.regions[name].largest - LIMITS[name])
     return (
-        f"{result.name} {result.version} gives another picture: off by "
-        f"{result.regions[worst].largest:.1e} of the peak ({worst}); "
-        f"at most {LIMITS[worst]:.0e} was wanted"
+        f"{result.name} {result.version}: expected an image within {LIMITS[worst]:.0e} of the "
+        f"peak, got one off by {result.regions[worst].largest:.1e} ({worst})"
     )

@@ -144,15 +144,15 @@ class Lookup(nn.Module):
         super().__init__()
         nodes = table.values.shape[:3]
         if math.prod(nodes) > _MOST_NODES:
-            raise InputError(
-                f"table: {math.prod(nodes)} nodes; at most {_MOST_NODES} can be exported"
-            )
+            raise InputError(f"table: expected at most {_MOST_NODES} nodes, got {math.prod(nodes)}")
         self.first_deg, self.step_deg, self.cells = table.first_deg, table.step_deg, table.cells
         self.baked = table.pieces is not None
         for axis, cuts in enumerate(table.cuts):
             start, pieces = cuts[:, 0], cuts[:, 1]
             if pieces.max() >= _CODE:
-                raise InputError(f"table: a cell in {int(pieces.max())} pieces; below {_CODE}")
+                raise InputError(
+                    f"table: expected a cell in fewer than {_CODE} pieces, got {int(pieces.max())}"
+                )
             self.register_buffer(f"_codes_{axis}", start * _CODE + pieces, persistent=False)
 
     def forward(self, values: Tensor, *half_angles: Tensor) -> tuple[Tensor, Tensor]:

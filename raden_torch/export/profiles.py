@@ -60,11 +60,13 @@ class Port:
 def check_profile(profile: str, output: str) -> None:
     """Raise InputError unless there is such a profile with such an output."""
     if profile not in PROFILES:
-        raise InputError(f"profile {profile!r}: one of {', '.join(PROFILES)} was wanted")
+        raise InputError(f"profile: expected one of {', '.join(PROFILES)}, got {profile!r}")
     if output not in OUTPUTS:
-        raise InputError(f"output {output!r}: one of {', '.join(OUTPUTS)} was wanted")
+        raise InputError(f"output: expected one of {', '.join(OUTPUTS)}, got {output!r}")
     if (profile, output) == ("scene", "brdf"):
-        raise InputError("output 'brdf': the scene profile gives radiance only; use gbuffer")
+        raise InputError(
+            "output: expected radiance from the scene profile, got 'brdf'; use the gbuffer profile"
+        )
 
 
 def ports(model: RadenBrdf, profile: str, output: str) -> list[Port]:

@@ -43,7 +43,7 @@ class ShaderSession:
         self, file: str | os.PathLike[str] | bytes, *, tile: int = TILE, threads: int = 0
     ) -> None:
         if tile < 1:
-            raise InputError(f"ShaderSession: tile {tile}; at least 1 pixel was wanted")
+            raise InputError(f"ShaderSession: tile: expected at least 1 pixel, got {tile}")
         data = file if isinstance(file, bytes) else _read(Path(file))
         self._session = onnx_session(_fixed(data), threads=1)
         required = self._session.get_inputs()
@@ -51,7 +51,9 @@ class ShaderSession:
         self._shapes = {i.name: tuple(i.shape) for i in (*required, *optional)}
         self._required = {i.name for i in required}
         if "normal" not in self._required:
-            raise InputError("ShaderSession: no input `normal`; a file of export_onnx was wanted")
+            raise InputError(
+                "ShaderSession: expected a file of export_onnx, got one without an input `normal`"
+            )
         self._output = self._session.get_outputs()[0].name
         self._tile = tile
         self._pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
@@ -83,19 +85,20 @@ class ShaderSession:
         missing, unknown = self._required - set(inputs), set(inputs) - set(self._shapes)
         if missing or unknown:
             what = f"missing {sorted(missing)}" if missing else f"unknown {sorted(unknown)}"
-            raise InputError(f"ShaderSession: {what}; the file has {', '.join(self._shapes)}")
+            raise InputError(
+                f"ShaderSession: expected inputs {', '.join(self._shapes)}, got {what}"
+            )
         given = {name: np.asarray(value, np.float32) for name, value in inputs.items()}
         if given["normal"].ndim != 4:
             raise InputError(
-                f"ShaderSession: normal has shape {list(given['normal'].shape)}; "
-                "[batch, 3, height, width] was wanted"
+                "ShaderSession: normal: expected shape [batch, 3, height, width], got "
+                f"{list(given['normal'].shape)}"
             )
         for name, value in given.items():
             wanted = self._shapes[name]
             if value.ndim != len(wanted) or not _fits(value, wanted, given["normal"].shape):
                 raise InputError(
-                    f"ShaderSession: {name} has shape {list(value.shape)}; "
-                    f"{list(wanted)} was wanted"
+                    f"ShaderSession: {name}: expected shape {list(wanted)}, got {list(value.shape)}"
                 )
         return given
 
@@ -202,4 +205,6 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; an exported .onnx file was wanted") from None
+        raise InputError(
+            f"{path}: expected an exported .onnx file, got an error: {error.strerror}"
+        ) from None

@@ -192,11 +192,15 @@ def _result(path: Path, kind: str, keys: tuple[str, ...]) -> dict[str, Any]:
 def _parsed(path: Path) -> dict[str, Any]:
     size = path.stat().st_size
     if size > _MAX_BYTES:
-        raise InputError(f"{path}: {size / 1e6:.0f} MB; at most {_MAX_BYTES / 1e6:g} are read")
+        raise InputError(
+            f"{path}: expected at most {_MAX_BYTES / 1e6:g} MB, got {size / 1e6:.0f} MB"
+        )
     try:
         found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: truncated or damaged: not JSON ({error})") from None
+        raise InputError(
+            f"{path}: expected JSON, got a truncated or damaged file ({error})"
+        ) from None
     return found
 
 

@@ -26,7 +26,7 @@ def describe(path: Path) -> str:
 
     size = path.stat().st_size
     if size > _MAX_BYTES:
-        raise InputError(f"{path}: {size / 1e9:.1f} GB; an ONNX file has at most 2")
+        raise InputError(f"{path}: expected an ONNX file of at most 2 GB, got {size / 1e9:.1f} GB")
     graph = read_graph(path.read_bytes())
     texts = metadata(graph)
     ours = texts.get("format") == FORMAT

@@ -60,16 +60,16 @@ class CommonErrors:
     def __post_init__(self) -> None:
         for name in ("scale_std", "white_mean_std"):
             if not 0.0 <= getattr(self, name) < 1.0:
-                raise InputError(f"measurement: {name} = {getattr(self, name):g}; 0…1 was wanted")
+                raise InputError(f"measurement: {name}: expected 0…1, got {getattr(self, name):g}")
         if not all(0.0 <= std <= 10.0 for std in self.zero_std_deg):
             raise InputError(
-                f"measurement: zero_std_deg = {_words(self.zero_std_deg)}; three numbers in "
-                "0…10 degrees were wanted"
+                "measurement: zero_std_deg: expected three numbers in 0…10 degrees, got "
+                f"{_words(self.zero_std_deg)}"
             )
         if self.white_deg is not None and not all(abs(angle) < 90.0 for angle in self.white_deg):
             raise InputError(
-                f"measurement: white_deg = {_words(self.white_deg)}; three angles between -90 and "
-                "90 degrees were wanted"
+                "measurement: white_deg: expected three angles between -90 and 90 degrees, got "
+                f"{_words(self.white_deg)}"
             )
 
     def as_entries(self) -> tuple[tuple[str, str], ...]:
@@ -133,6 +133,6 @@ def _numbers(entries: Mapping[str, str], key: str, count: int) -> list[float]:
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        wanted = "one number" if count == 1 else f"{count} numbers, with spaces between,"
-        raise InputError(f"measurement: header: {key} = {entries[key]!r}; {wanted} was wanted")
+        wanted = "one number" if count == 1 else f"{count} numbers separated by spaces"
+        raise InputError(f"measurement: header: {key}: expected {wanted}, got {entries[key]!r}")
     return numbers

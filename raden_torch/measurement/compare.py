@@ -235,7 +235,7 @@ def common_channels(measurements: tuple[BrdfMeasurement, ...]) -> tuple[str, ...
         values = list(dict.fromkeys(getattr(m.metadata, what) for m in measurements))
         if len(values) > 1:
             raise InputError(
-                f"measurements: their {what}s are {' and '.join(values)}; the same was wanted"
+                f"measurements: {what}: expected the same in both, got {' and '.join(values)}"
             )
     same = len({m.channels for m in measurements}) == 1
     return measurements[0].channels if same else XYZ

@@ -135,7 +135,7 @@ def open_table(path: Path, limit: int, wanted: Sequence[str]) -> CsvTable:
     file = read_text(path, limit)
     heading = find_heading(file.text)
     if not heading.names:
-        raise InputError(f"{path}: it is empty; columns {','.join(wanted)} were wanted")
+        raise InputError(f"{path}: expected columns {','.join(wanted)}, got an empty file")
     separator, written = _separated(path, heading, wanted)
     columns = tuple(map(own_name, written))
     _check_each_once(path, heading.number, columns)

@@ -88,16 +88,16 @@ def stated_variance(measurement: BrdfMeasurement) -> Floats:
     name = m.metadata.sample or "an unnamed sample"
     if m.std is None:
         raise InputError(
-            f"measurement of {name}: states no standard deviation, and so has no weight; give it "
-            f"columns std_{', std_'.join(m.channels[:3])}"
+            f"measurement of {name}: expected columns std_{', std_'.join(m.channels[:3])}, got "
+            "none; without a standard deviation it has no weight"
         )
     wrong = ~np.isfinite(m.std).all(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            f"measurement of {name}: no standard deviation at incidence {m.incidence_deg[row]:g}, "
-            f"receiving {m.receiving_deg[row]:g}, tilt {m.tilt_deg[row]:g} deg; give it one, or "
-            "mark the reading as not valid"
+            f"measurement of {name}: expected a standard deviation at incidence "
+            f"{m.incidence_deg[row]:g}, receiving {m.receiving_deg[row]:g}, tilt "
+            f"{m.tilt_deg[row]:g} deg, got none; give it one, or mark the reading as not valid"
         )
     return np.asarray(m.std**2)
 

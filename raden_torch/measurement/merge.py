@@ -119,9 +119,11 @@ def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> M
 
 def _check(measurements: Sequence[BrdfMeasurement]) -> None:
     if len(measurements) < 2:
-        raise InputError("merge: two measurements or more were wanted")
+        raise InputError(f"merge: expected two measurements or more, got {len(measurements)}")
     if len({m.azimuth_deg is None for m in measurements}) > 1:
-        raise InputError("merge: some have a sample azimuth and some have none; give it to all")
+        raise InputError(
+            "merge: expected a sample azimuth in all measurements or in none, got it in some"
+        )
 
 
 def _check_pairs(measurements: Sequence[BrdfMeasurement]) -> None:

@@ -118,4 +118,4 @@ def _frame(ax: Any, view: View, title: str, over: tuple[str, str], heights: Floa
 
 def _check_3d(ax: Any) -> None:
     if not hasattr(ax, "plot_surface"):
-        raise InputError('plot: ordinary axes; axes with projection="3d" were wanted')
+        raise InputError('plot: expected axes with projection="3d", got ordinary axes')

@@ -249,9 +249,14 @@ def test_dtypes(model) -> None:
 
 def test_wrong_devices_are_one_line(model) -> None:
     maps = [m.to("meta") for m in image_maps(4, 4)]
-    with pytest.raises(InputError, match=r"^model .* on cpu, maps on meta.*wanted[^\n]*$"):
+    with pytest.raises(
+        InputError,
+        match=r"^model and maps: expected one device, got .* on cpu, maps on meta[^\n]*$",
+    ):
         model(*maps)
-    with pytest.raises(InputError, match=r"^normal on cpu, light on meta[^\n]*wanted$"):
+    with pytest.raises(
+        InputError, match=r"^maps: expected one device, got normal on cpu, light on meta[^\n]*$"
+    ):
         model(image_maps(4, 4)[0], *maps[1:])
     assert copy.deepcopy(model).to("meta")(*maps).shape == (2, 3, 4, 4)
 

@@ -108,7 +108,7 @@ def test_a_baked_table_is_read_along_the_ridge(dtype: torch.dtype, tolerance: fl
 
 def test_wrong_pieces_are_refused() -> None:
     values = torch.ones(3, 4, 5, 3)
-    with pytest.raises(InputError, match="3 nodes on axis 0; 4 were wanted"):
+    with pytest.raises(InputError, match="axis 0: expected 4 nodes for its pieces, got 3"):
         ReflectanceTable(values, FIRST, STEP, ((1, 2), (1, 1, 1), (1, 1, 1, 1)))
     with pytest.raises(InputError, match="more cells along"):
         ReflectanceTable(torch.ones(3, 3, 5, 3), FIRST, STEP, ((1, 1), (1, 1), (1, 1, 1, 1)))

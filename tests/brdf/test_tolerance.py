@@ -182,5 +182,7 @@ def test_the_upper_bound_is_one(model, gains, random_vectors) -> None:
 
 @pytest.mark.parametrize("tolerance", [-1.0, float("nan"), float("inf")])
 def test_a_wrong_tolerance_is_one_line(model, tolerance) -> None:
-    with pytest.raises(InputError, match=r"^tolerance [^\n]*was wanted$"):
+    with pytest.raises(
+        InputError, match=r"^tolerance: expected a radiance of 0 or more, got [^\n]*$"
+    ):
         rt.shade(model, plate(4, 4), distant(1), tolerance=tolerance)

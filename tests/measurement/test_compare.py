@@ -169,7 +169,7 @@ def test_channels_that_differ_are_compared_in_xyz(analytic) -> None:
 def test_what_cannot_be_compared_is_refused(analytic) -> None:
     m = analytic(step=35.0)
     other = replace(m, metadata=Metadata(white="D50"))
-    with pytest.raises(InputError, match="whites are D65 and D50"):
+    with pytest.raises(InputError, match="white: expected the same in both, got D65 and D50"):
         compare(m, other)
     far = BrdfMeasurement([85.0], [85.0], [80.0], np.ones((1, 3)))
     with pytest.raises(InputError, match="no geometries in common"):

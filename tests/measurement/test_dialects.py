@@ -234,7 +234,7 @@ def tabs(rows: str) -> str:
 AMBIGUOUS = {
     "decimal commas between commas": (
         HEADER + "0,-70,0,19,5,20,1,21,8\n",
-        "line 2: 9 values, 6 were wanted; decimal commas cannot be told",
+        "line 2: expected 6 values, got 9; decimal commas cannot be told",
     ),
     "quoted decimal commas between commas": (
         HEADER + '0,-70,0,"19,5",20,21\n',
@@ -269,10 +269,13 @@ AMBIGUOUS = {
         "sep=;\n" + HEADER + "0,0,0,1,2,3\n",
         "sep=;: expected the separator of the columns, comma",
     ),
-    "an open quote": (HEADER + '0,0,0,1,2,"3\n', "line 2: a quote is not closed"),
+    "an open quote": (HEADER + '0,0,0,1,2,"3\n', "line 2: expected a closing quote"),
     "a spreadsheet's error": (HEADER + "0,0,0,1,2,#N/A\n", "column Z: '#N/A' is not a number"),
     "digits with underscores": (HEADER + "0,0,0,1,2,1_0\n", "column Z: '1_0' is not a number"),
-    "a row of another length": (semicolons("0;0;0;1;2\n5;0;0;1;2;3\n"), "line 2: 5 values, 6"),
+    "a row of another length": (
+        semicolons("0;0;0;1;2\n5;0;0;1;2;3\n"),
+        "line 2: expected 6 values, got 5",
+    ),
     "Shift-JIS or Windows-1252": (
         "# 夜\n".encode("cp932") + (HEADER + "0,0,0,1,2,3\n").encode(),
         "line 1: byte 0x96 is not UTF-8, and the file is not clearly Shift-JIS or Windows-1252",

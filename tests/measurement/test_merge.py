@@ -155,17 +155,20 @@ def test_a_scatter_over_all_cells_is_refused_too() -> None:
 
 def test_what_has_no_weight_is_refused() -> None:
     a = readings(1)
-    with pytest.raises(InputError, match=r"of shell 1: states no standard deviation"):
+    with pytest.raises(
+        InputError,
+        match=r"of shell 1: expected columns std_X, std_Y, std_Z, got none",
+    ):
         merge([a, replace(a, std=None)])
     gap = a.std.copy()
     gap[3, 1] = np.nan
     place = f"incidence {a.incidence_deg[3]:g}, receiving {a.receiving_deg[3]:g}"
     for b in (a, readings(2)):
-        with pytest.raises(InputError, match=f"no standard deviation at {place}"):
+        with pytest.raises(InputError, match=f"expected a standard deviation at {place}, .*, got none"):
             merge([replace(a, std=gap), b])
-        with pytest.raises(InputError, match=f"no standard deviation at {place}"):
+        with pytest.raises(InputError, match=f"expected a standard deviation at {place}, .*, got none"):
             compare(b, replace(a, std=gap))
-    with pytest.raises(InputError, match=r"std_X = -1 in reading 1; at least 0"):
+    with pytest.raises(InputError, match=r"reading 1: std_X: expected at least 0, got -1"):
         replace(a, std=-np.ones_like(gap))
     with pytest.raises(InputError, match="two measurements or more"):
         merge([a])
@@ -184,11 +187,14 @@ def test_what_is_common_survives_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("scale_std: much", "scale_std = 'much'; one number"),
-        ("scale_std: 2", "scale_std = 2"),
+        ("scale_std: much", "scale_std: expected one number, got 'much'"),
+        ("scale_std: 2", "scale_std: expected 0…1, got 2"),
         ("scale_std: nan", "one number"),
         ("zero_std_deg: 1 2", "3 numbers"),
-        ("zero_std_deg: 1 2 -3", "zero_std_deg = 1.0 2.0 -3.0"),
+        (
+            "zero_std_deg: 1 2 -3",
+            "zero_std_deg: expected three numbers in 0…10 degrees, got 1.0 2.0 -3.0",
+        ),
         ("white_deg: 90 0 0", "white_deg"),
     ],
 )

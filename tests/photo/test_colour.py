@@ -93,7 +93,7 @@ def test_file(tmp_path: Path) -> None:
     assert "/x/" not in text
     for change, message in (
         (('"least squares"', '"magic"'), "method 'magic'"),
-        (('"kind": "colour"', '"kind": "camera"'), "a camera file; a colour file was wanted"),
+        (('"kind": "colour"', '"kind": "camera"'), "expected a colour file, got a camera file"),
         (('"version": 1', '"version": 9'), "version 9"),
         (('"matrix"', '"matrox"'), "no matrix"),
         (("{", "["), "not JSON"),

@@ -96,12 +96,12 @@ def test_no_white_and_over_exposed(sphere: Any) -> None:
     cv2.imwrite(str(black), np.zeros(cv2.imread(str(series.white)).shape[:2], np.uint8))
     with pytest.raises(InputError, match="the mask is empty"):
         capture_brdf(**(arguments | {"white": WhiteSpec(black)}))
-    with pytest.raises(InputError, match="0 places of the white reference; one was wanted"):
+    with pytest.raises(InputError, match=r"white reference: expected one place .*, got 0"):
         WhiteSpec()
 
 
 def test_shapes_that_lack_something(sphere: Any, board: Any) -> None:
-    with pytest.raises(InputError, match="a mask that is white on it was wanted"):
+    with pytest.raises(InputError, match="cylinder: expected a mask that is white on it, got none"):
         SampleSpec("cylinder")
     with pytest.raises(InputError, match="where is it"):
         SampleSpec("plane")
@@ -124,7 +124,7 @@ def test_shapes_that_lack_something(sphere: Any, board: Any) -> None:
 @pytest.mark.parametrize(
     ("factor", "file", "std", "said"),
     [
-        (None, None, 0.0, "its reflectance factor was wanted"),
+        (None, None, 0.0, "white: expected its reflectance factor, got none"),
         ("98", "x.csv", 0.0, "a factor and a file"),
         ("zwei", None, 0.0, "reflectance factor zwei"),
         ("0", None, 0.0, "above 0"),

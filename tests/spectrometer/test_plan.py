@@ -137,10 +137,10 @@ def test_a_list_of_cells_may_be_a_measurement(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"columns incidence_deg,receiving_deg,tilt_deg were wanted"),
-        ("a,b,c\n1,2,3\n", r"columns incidence_deg,receiving_deg,tilt_deg were wanted"),
+        ("", r"expected columns incidence_deg,receiving_deg,tilt_deg"),
+        ("a,b,c\n1,2,3\n", r"expected columns incidence_deg,receiving_deg,tilt_deg"),
         ("incidence_deg,receiving_deg,tilt_deg\n", "lists no cells"),
-        ("incidence_deg,receiving_deg,tilt_deg\n1,2\n", "line 2: 2 values, 3 were wanted"),
+        ("incidence_deg,receiving_deg,tilt_deg\n1,2\n", "line 2: expected 3 values, got 2"),
         (
             "incidence_deg,receiving_deg,tilt_deg\n1,2,3\n\n1,x,3\n",
             "line 4, column receiving_deg: 'x'",

@@ -209,7 +209,7 @@ def test_bad_conditions_and_measurements(tmp_path: Path) -> None:
     )
     scattered.save(tmp_path / "scattered.csv")
     with (
-        pytest.raises(InputError, match="a grid was wanted"),
+        pytest.raises(InputError, match="expected readings on a grid, got 200 scattered"),
         simulated_rig(tmp_path / "scattered.csv"),
     ):
         pass

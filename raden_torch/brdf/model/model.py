@@ -145,8 +145,8 @@ class RadenBrdf(nn.Module):
         for name, p in self.named_parameters():
             if p.device != like.device:
                 raise InputError(
-                    f"model {name} on {p.device}, maps on {like.device}: one device was wanted; "
-                    f"use model.to({str(like.device)!r})"
+                    f"model and maps: expected one device, got model {name} on {p.device}, maps "
+                    f"on {like.device}; use model.to({str(like.device)!r})"
                 )
 
     def working_dtype(self, *maps: Tensor) -> torch.dtype:

@@ -47,11 +47,11 @@ class ReflectanceTable(nn.Module):
         super().__init__()
         if values.ndim != 4 or min(values.shape[:3]) < 2:
             raise InputError(
-                f"table: shape {list(values.shape)}; [X, Y, Z, C] with at least two nodes on each "
-                "axis was wanted"
+                "table: expected shape [X, Y, Z, C] with at least two nodes on each axis, got "
+                f"{list(values.shape)}"
             )
         if min(step_deg) <= 0:
-            raise InputError(f"table: step_deg {step_deg}; positive steps were wanted")
+            raise InputError(f"table: step_deg: expected positive steps, got {step_deg}")
         self.values = nn.Parameter(values)
         self.first_deg = first_deg
         self.step_deg = step_deg
@@ -59,12 +59,14 @@ class ReflectanceTable(nn.Module):
         for k, cuts in enumerate(pieces or ()):
             if 1 + sum(cuts) != values.shape[k] or min(cuts, default=0) < 1:
                 raise InputError(
-                    f"table: {values.shape[k]} nodes on axis {k}; {1 + sum(cuts)} were wanted for "
-                    "its pieces"
+                    f"table: axis {k}: expected {1 + sum(cuts)} nodes for its pieces, got "
+                    f"{values.shape[k]}"
                 )
             self.register_buffer(f"_cuts_{k}", _cuts(cuts), persistent=False)
         if pieces is not None and len(pieces[1]) <= len(pieces[0]):
-            raise InputError("table: a baked table needs more cells along r − a than along a")
+            raise InputError(
+                "table: expected more cells along r − a than along a in a baked table, got fewer"
+            )
 
     @property
     def cuts(self) -> tuple[Tensor, ...]:

@@ -32,7 +32,9 @@ def sphere(
     eye = torch.tensor(camera, dtype=torch.float64)
     distance = float(eye.norm())
     if not distance > 1.0:
-        raise InputError(f"sphere: camera {camera} lies inside the unit sphere; move it outside")
+        raise InputError(
+            f"sphere: camera: expected a position outside the unit sphere, got {camera}"
+        )
     half_width = margin / (distance**2 - 1) ** 0.5  # tangent of the half field of view
     rays = camera_rays(eye, size * samples, half_width)
     along = (rays * eye.view(3, 1, 1)).sum(0)
@@ -48,7 +50,7 @@ def sphere(
 def check_rays(shape: str, size: int, samples: int) -> None:
     if size < 1 or samples < 1 or size * samples > 16384:
         raise InputError(
-            f"{shape}: size {size} x {samples} samples; 1…16384 rays a side were wanted"
+            f"{shape}: expected 1…16384 rays a side, got size {size} x {samples} samples"
         )
 
 

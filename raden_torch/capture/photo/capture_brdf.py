@@ -210,8 +210,9 @@ def _too_little(cover: Coverage, photographs: Sequence[Path]) -> str:
         "nothing near these lamps; another shape or camera"
     )
     return (
-        f"{photographs[0]} … {photographs[-1].name}: they cover {100 * cover.share:.1f} % of the "
-        f"grid; at least {100 * LEAST_COVERAGE:g} % were wanted. What would help most: {advice}"
+        f"{photographs[0]} … {photographs[-1].name}: expected readings in at least "
+        f"{100 * LEAST_COVERAGE:g} % of the grid, got {100 * cover.share:.1f} %. What would help "
+        f"most: {advice}"
     )
 
 

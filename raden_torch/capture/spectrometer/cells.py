@@ -45,12 +45,14 @@ def grid(
         InputError: limits that are reversed, out of range or not a whole number of steps apart.
     """
     if not (math.isfinite(step_deg) and step_deg > 0):
-        raise InputError(f"step = {step_deg:g} deg; more than 0 was wanted")
+        raise InputError(f"step: expected more than 0 deg, got {step_deg:g}")
     named = zip(_ANGLES, (incidence, receiving, tilt), strict=True)
     axes = [_axis(name, *limits, step_deg) for name, limits in named]
     count = math.prod(len(axis) for axis in axes)
     if count > MAX_CELLS:
-        raise InputError(f"a step of {step_deg:g} deg makes {count} cells; at most {MAX_CELLS}")
+        raise InputError(
+            f"step: expected at most {MAX_CELLS} cells, got {count} by a step of {step_deg:g} deg"
+        )
     return checked_cells(
         np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), "grid"
     )
@@ -62,7 +64,7 @@ def random_cells(count: int = RANDOM_READINGS, *, seed: int = 0) -> Floats:
     Readings off the grid, to check what was interpolated between its nodes.
     """
     if not 1 <= count <= MAX_CELLS:
-        raise InputError(f"{count} random readings; 1…{MAX_CELLS} was wanted")
+        raise InputError(f"random readings: expected 1…{MAX_CELLS}, got {count}")
     drawn = np.random.default_rng(seed).random((count, 3))
     return np.asarray(np.round(drawn * [70.0, 140.0, 140.0] - [0.0, 70.0, 70.0], 2))
 
@@ -79,10 +81,13 @@ def list_cells(path: str | os.PathLike[str]) -> Floats:
     path = Path(path)
     table = open_table(path, _MAX_LIST_BYTES, _ANGLES)
     if not {*_ANGLES} <= {*table.columns}:
-        raise InputError(f"{path}: columns {','.join(_ANGLES)} were wanted in its first line")
+        raise InputError(
+            f"{path}: expected columns {','.join(_ANGLES)} in its first line, got "
+            f"{','.join(table.columns)}"
+        )
     cells = table.numbers(_ANGLES)
     if not len(cells):
-        raise InputError(f"{path}: it lists no cells")
+        raise InputError(f"{path}: expected a list of cells, got none")
     return checked_cells(cells, str(path))
 
 
@@ -104,12 +109,14 @@ def within_reach(
 
 def _axis(name: str, first: float, last: float, step: float) -> Floats:
     if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-        raise InputError(f"{name} {first:g}…{last:g}: from low to high was wanted")
+        raise InputError(f"{name}: expected a range from low to high, got {first:g}…{last:g}")
     steps = round((last - first) / step)
     if not math.isclose(steps * step, last - first, abs_tol=1e-9):
-        raise InputError(f"{name} {first:g}…{last:g}: not a whole number of steps of {step:g} deg")
+        raise InputError(
+            f"{name}: expected a whole number of steps of {step:g} deg, got {first:g}…{last:g}"
+        )
     if steps > MAX_CELLS:
-        raise InputError(f"{name}: {steps} steps; at most {MAX_CELLS}")
+        raise InputError(f"{name}: expected at most {MAX_CELLS} steps, got {steps}")
     return np.round(np.linspace(first, last, steps + 1), _DIGITS)
 
 
@@ -117,15 +124,15 @@ def checked_cells(cells: ArrayLike, where: str) -> Floats:
     """The cells as `[M, 3]`; angles in range, none twice."""
     array = np.asarray(cells, np.float64)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
-        raise InputError(f"{where}: cells of shape {list(array.shape)}; [M, 3] was wanted")
+        raise InputError(f"{where}: cells: expected shape [M, 3], got {list(array.shape)}")
     if len(array) > MAX_CELLS:
-        raise InputError(f"{where}: {len(array)} cells; at most {MAX_CELLS}")
+        raise InputError(f"{where}: expected at most {MAX_CELLS} cells, got {len(array)}")
     wrong = ~((array >= _LOWEST_DEG) & (array < 90) & (array > -90)).all(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            f"{where}: cell {row + 1} is {array[row].tolist()}; incidence from 0 and receiving "
-            "and tilt from -90 to below 90 degrees were wanted"
+            f"{where}: cell {row + 1}: expected incidence from 0 and receiving and tilt from -90 "
+            f"to below 90 degrees, got {array[row].tolist()}"
         )
     _, first, count = np.unique(
         np.round(array, _DIGITS), axis=0, return_index=True, return_counts=True
@@ -133,7 +140,7 @@ def checked_cells(cells: ArrayLike, where: str) -> Floats:
     if (count > 1).any():
         row = int(first[np.argmax(count > 1)])
         raise InputError(
-            f"{where}: cell {row + 1}, {array[row].tolist()}, is there twice; for several readings "
-            "of a cell ask for repeats"
+            f"{where}: cell {row + 1}: expected each cell once, got {array[row].tolist()} twice; "
+            "for several readings of a cell ask for repeats"
         )
     return array

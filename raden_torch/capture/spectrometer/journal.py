@@ -166,7 +166,9 @@ def read_journal(path: str | os.PathLike[str]) -> Contents:
     path = Path(path)
     size = path.stat().st_size
     if size > MAX_BYTES:
-        raise InputError(f"{path}: {size / 1e9:.1f} GB; a journal has at most {MAX_BYTES / 1e9:g}")
+        raise InputError(
+            f"{path}: expected a journal of at most {MAX_BYTES / 1e9:g} GB, got {size / 1e9:.1f} GB"
+        )
     contents: Contents | None = None
     with path.open("rb") as file:
         for number, line in enumerate(file, 1):
@@ -191,7 +193,7 @@ def read_journal(path: str | os.PathLike[str]) -> Contents:
                 ) from None
             contents.whole_bytes += len(line)
     if contents is None:
-        raise InputError(f"{path}: is empty; the journal of a scan was wanted")
+        raise InputError(f"{path}: expected the journal of a scan, got an empty file")
     contents.torn_bytes = size - contents.whole_bytes
     _check_replay(path, contents)
     return contents
@@ -253,7 +255,9 @@ class JournalFile:
         """Open a journal to go on with it; a cut last line is taken off."""
         path = Path(path)
         if not path.is_file():
-            raise InputError(f"{path}: there is no journal to resume; leave out --resume to begin")
+            raise InputError(
+                f"{path}: expected a journal to resume, got none; leave out --resume to begin"
+            )
         return cls(path, read_journal(path))
 
     def append(self, record: Record) -> None:
@@ -341,7 +345,7 @@ def _header(record: dict[str, Any]) -> Header:
     if record.get("record") != "header":
         raise InputError("not the header of a scan's journal")
     if record["format"] != FORMAT:
-        raise InputError(f"journal format {record['format']!r}; this version reads {FORMAT}")
+        raise InputError(f"journal format: expected {FORMAT}, got {record['format']!r}")
     header = Header(
         plan=plan_from_json(record["plan"]),
         white=White.from_json(record["white"]),

@@ -238,7 +238,7 @@ def make_plan(
 def checked_repeats(repeats: int) -> int:
     """Raises InputError where it is out of its range."""
     if not 1 <= repeats <= MAX_REPEATS:
-        raise InputError(f"repeats = {repeats}; 1…{MAX_REPEATS} was wanted")
+        raise InputError(f"repeats: expected 1…{MAX_REPEATS}, got {repeats}")
     return repeats
 
 

@@ -73,7 +73,7 @@ class Patience:
 
     def __post_init__(self) -> None:
         if self.attempts < 1:
-            raise InputError(f"attempts = {self.attempts}; at least 1 was wanted")
+            raise InputError(f"attempts: expected at least 1, got {self.attempts}")
 
 
 def check_resumable(journal: JournalFile, header: Header) -> None:

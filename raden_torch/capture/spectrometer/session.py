@@ -38,11 +38,13 @@ class References:
 
     def __post_init__(self) -> None:
         if not self.every_s > 0:
-            raise InputError(f"white every {self.every_s / 60:g} min; more than 0 was wanted")
+            raise InputError(
+                f"white interval: expected more than 0 min, got {self.every_s / 60:g} min"
+            )
         if not 2 <= self.readings <= _MOST_READINGS:
             raise InputError(
-                f"{self.readings} white readings; 2…{_MOST_READINGS} was wanted (two at least, "
-                "since their spread is the instrument's)"
+                f"white readings: expected 2…{_MOST_READINGS} (two at least, since their spread "
+                f"estimates the instrument's), got {self.readings}"
             )
 
 

@@ -33,9 +33,11 @@ class StatedUncertainty:
     def __post_init__(self) -> None:
         for what in (*self.zero_std_deg, *self.position_std_deg, self.wavelength_std_nm):
             if not 0.0 <= what <= _MOST_DEG:
-                raise InputError(f"stated uncertainty {what:g}; 0…{_MOST_DEG:g} was wanted")
+                raise InputError(
+                    f"stated uncertainty: expected 0…{_MOST_DEG:g} degrees (or nm), got {what:g}"
+                )
         if not (math.isfinite(self.xyz_std) and 0.0 <= self.xyz_std < 1.0):
-            raise InputError(f"stated uncertainty of XYZ {self.xyz_std:g}; 0…1 was wanted")
+            raise InputError(f"stated uncertainty of XYZ: expected 0…1, got {self.xyz_std:g}")
 
     def as_json(self) -> dict[str, Any]:
         return {

@@ -37,18 +37,18 @@ class White:
         for where, xyz in (("", self.xyz), *((" in a cell", cell) for cell in self.at_cells)):
             if not all(math.isfinite(value) and 0 < value <= _MOST for value in xyz):
                 raise InputError(
-                    f"{self.name}: its XYZ reflectance factor{where} is {xyz}; above 0 and up to "
-                    f"{_MOST:g} was wanted (the perfect reflecting diffuser has Y = 100)"
+                    f"{self.name}: XYZ reflectance factor{where}: expected above 0 and up to "
+                    f"{_MOST:g} (the perfect reflecting diffuser has Y = 100), got {xyz}"
                 )
         if not (math.isfinite(self.relative_std) and 0 <= self.relative_std < 1):
             raise InputError(
-                f"{self.name}: relative standard uncertainty {self.relative_std}; 0…1 was wanted"
+                f"{self.name}: relative standard uncertainty: expected 0…1, got {self.relative_std}"
             )
         here = self.position
         if not (0 <= here.incidence_deg < 90 and abs(here.tilt_deg) < 90):
             raise InputError(
-                f"{self.name}: read at incidence {here.incidence_deg:g}, tilt {here.tilt_deg:g}, "
-                "where no lamp can light it; below 90 degrees was wanted"
+                f"{self.name}: expected incidence and tilt below 90 degrees, got incidence "
+                f"{here.incidence_deg:g}, tilt {here.tilt_deg:g}, where no lamp can light it"
             )
 
     def as_json(self) -> dict[str, Any]:

@@ -35,13 +35,13 @@ class CellGrid:
         steps = self.limit_deg / self.step_deg if self.step_deg > 0 else 0.0
         if not (0 < self.limit_deg < 90 and steps >= 1 and abs(steps - round(steps)) < 1e-6):
             raise InputError(
-                f"grid up to {self.limit_deg:g} degrees in steps of {self.step_deg:g}: a whole "
-                "number of steps and less than 90 degrees were wanted"
+                "grid: expected a whole number of steps and a limit below 90 degrees, got steps "
+                f"of {self.step_deg:g} up to {self.limit_deg:g} degrees"
             )
         if self.cells > MAX_CELLS:
             raise InputError(
-                f"grid in steps of {self.step_deg:g} degrees: {self.cells} cells; at most "
-                f"{MAX_CELLS} are made; a coarser step was wanted"
+                f"grid: expected at most {MAX_CELLS} cells, got {self.cells} by steps of "
+                f"{self.step_deg:g} degrees; take a coarser step"
             )
 
     @property

@@ -50,8 +50,8 @@ def rod_from_mask(
     edges = [outline[straight & (side * sign > 0)] + 0.5 * sign * across for sign in (-1, 1)]
     if min(map(len, edges)) < 20 or high - low < np.ptp(side):
         raise InputError(
-            f"{name}: no two long straight edges; white on a cylinder longer than it is wide "
-            "was wanted"
+            f"{name}: expected a mask that is white on a cylinder longer than it is wide, got no "
+            "two long straight edges"
         )
     if camera is None:
         return _parallel(edges, middle, along, (low + cut, high - cut), name)
@@ -67,7 +67,7 @@ def rod_on_board(
         raise InputError(f"{name}: a cylinder on the board needs a camera, a pose and its radius")
     length = float(np.hypot(*(axis_m[1] - axis_m[0])) * MM)
     if not length > 0:
-        raise InputError("cylinder: two different points of its axis were wanted")
+        raise InputError("cylinder: axis: expected two different points, got one twice")
     ends = board_to_scene(pose, np.c_[axis_m, np.full(2, -radius_mm / MM)])
     axis = board_direction(pose, np.r_[axis_m[1] - axis_m[0], 0] * MM / length)
     return Cylinder(ends[0], axis, radius_mm, (0.0, length))
@@ -80,7 +80,7 @@ def _outline(mask: NDArray[Any], name: str) -> tuple[Floats, Floats, Floats]:
     white = (mask > 0.5).astype(np.uint8)
     outlines, _ = cv2.findContours(white, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not outlines:
-        raise InputError(f"{name}: the mask is empty; white on the cylinder was wanted")
+        raise InputError(f"{name}: expected a mask that is white on the cylinder, got an empty one")
     outline = max(outlines, key=len)[:, 0].astype(np.float64)
     height, width = white.shape
     free = (outline > 0).all(1) & (outline < [width - 1, height - 1]).all(1)

@@ -89,8 +89,8 @@ class Scene:
         if camera is not None and camera.size != size:
             (h, w), (height, width) = camera.size, size
             raise InputError(
-                f"{setup.camera}: a camera of {w} x {h} pixels, but the photographs have {width} x "
-                f"{height}; the camera that took them, at the same size, was wanted"
+                f"{setup.camera}: expected the camera that took the photographs, at their size of "
+                f"{width} x {height} pixels, got one of {w} x {h}"
             )
         return cls(shots, camera, each, sample, lamps.exponent, size)
 
@@ -99,8 +99,8 @@ class Scene:
         if frame.size != self.size:
             (h, w), (height, width) = self.size, frame.size
             raise InputError(
-                f"{shot.files[0]}: {width} x {height} pixels, but {self.shots[0].name} has {w} x "
-                f"{h}; photographs of one size were wanted"
+                f"{shot.files[0]}: expected photographs of one size, got {width} x {height} "
+                f"pixels, but {self.shots[0].name} has {w} x {h}"
             )
         return frame
 

@@ -87,7 +87,7 @@ def material_of(name: str) -> Material:
         return Material(name, None, _shell(name), source)
     if not name.lower().endswith((".csv", ".csv.gz")):
         known = ", ".join([*PLUGINS, *SPECIMENS])
-        raise InputError(f"material {name!r}: {known}, or a measurement (.csv) was wanted")
+        raise InputError(f"material: expected {known}, or a measurement (.csv), got {name!r}")
     measured = native_csv.read(name)
     source = f"{Path(name).name}, trilinear between its nodes"
     return Material(Path(name).stem, None, table_of(measured, name), source)

@@ -74,7 +74,7 @@ class Options:
 
     def __post_init__(self) -> None:
         if self.shape not in ("sphere", "plane"):
-            raise InputError(f"shape {self.shape!r}; sphere or plane was wanted")
+            raise InputError(f"shape: expected sphere or plane, got {self.shape!r}")
         ranges = {
             "lamps": (3, 99),
             "views": (1, 9),
@@ -85,11 +85,14 @@ class Options:
             "seed": (0, 2**31),
         }
         if self.shape == "plane" and self.stack > 1:
-            raise InputError("exposure stacks are made of a sphere; leave stack at 1 for a plane")
+            raise InputError(
+                f"stack: expected 1 for a plane, got {self.stack}; exposure stacks are made of a "
+                "sphere"
+            )
         for name, (low, high) in ranges.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"{name} = {value}; {low}…{high} was wanted")
+                raise InputError(f"{name}: expected {low}…{high}, got {value}")
 
 
 def simulate_photographs(
@@ -108,7 +111,7 @@ def simulate_photographs(
     """
     done = progress or (lambda share: None)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is there and not empty; a new folder was wanted")
+        raise InputError(f"{folder}: expected a new folder, got one that is not empty")
     mi = mitsuba(options.variant)
     material = material_of(options.material)
     plan = _plan(mi, options)

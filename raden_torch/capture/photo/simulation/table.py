@@ -53,11 +53,11 @@ def table_of(measurement: BrdfMeasurement, name: str) -> Table:
     steps = [np.diff(axis) for axis in axes]
     if any(len(s) == 0 or np.ptp(s) > 1e-4 for s in steps):
         raise InputError(
-            f"{name}: its readings do not lie on a regular grid; evenly spaced incidence, "
-            "receiving and tilt, two or more of each, were wanted"
+            f"{name}: expected a regular grid (evenly spaced incidence, receiving and tilt, two "
+            "or more of each), got readings off such a grid"
         )
     if not grid.measured.any():
-        raise InputError(f"{name}: no reading has a value; a measurement was wanted")
+        raise InputError(f"{name}: expected a measurement, got no reading with a value")
     f_r = grid.values / (FACTOR_PER_SR * white_xyz())
     step = np.array([s.mean() for s in steps])
     first = np.array([axis[0] for axis in axes])

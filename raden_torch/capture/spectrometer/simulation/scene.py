@@ -85,7 +85,9 @@ def make_scene(measurement: BrdfMeasurement, luminance_cd_m2: float) -> Scene:
 
     grid = measurement.as_xyz().grid()
     if not grid.measured.any():
-        raise InputError("measurement: it has no valid reading to simulate a sample with")
+        raise InputError(
+            "measurement: expected a valid reading to simulate a sample with, got none"
+        )
     missing = ~grid.measured
     nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
     values = grid.values[tuple(nearest)]

@@ -68,9 +68,9 @@ class Conditions:
         for field in fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value < math.inf:
-                raise InputError(f"conditions: {field.name} = {value!r}; at least 0 was wanted")
+                raise InputError(f"conditions: {field.name}: expected at least 0, got {value!r}")
         if self.white_luminance_cd_m2 == 0.0:
-            raise InputError("conditions: white_luminance_cd_m2 = 0; more than 0 was wanted")
+            raise InputError("conditions: white_luminance_cd_m2: expected more than 0, got 0")
 
     @property
     def errors(self) -> Errors:
@@ -176,12 +176,14 @@ def simulated_rig(
 
 def _check(seed: int, faults: Mapping[Fault, float], time_scale: float) -> None:
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise InputError(f"seed = {seed!r}; a whole number of at least 0 was wanted")
+        raise InputError(f"seed: expected a whole number of at least 0, got {seed!r}")
     if not 0.0 < time_scale <= 10_000.0:
-        raise InputError(f"time_scale = {time_scale!r}; more than 0, up to 10000 was wanted")
+        raise InputError(f"time_scale: expected more than 0, up to 10000, got {time_scale!r}")
     for fault, chance in faults.items():
         if not isinstance(fault, Fault) or not 0.0 <= chance <= 1.0:
-            raise InputError(f"faults: {fault}: {chance!r}; a Fault and its chance 0…1 were wanted")
+            raise InputError(
+                f"faults: expected a Fault and its chance 0…1, got {fault}: {chance!r}"
+            )
 
 
 def _start(module: str, link: str, config: dict[str, Any], folder: Path) -> subprocess.Popen[bytes]:
