@@ -452,7 +452,10 @@ def test_what_is_not_there(tmp_path: Path) -> None:
         (("plot", "measurement", "model", "-o", "x.png"), "expected a measurement, got a model"),
         (("info", "measurement", "gbuffer"), "expected a measurement or a model, got an OpenEXR"),
         (("info", "model", "measurement"), "expected a measurement, got a model"),
-        (("info", "measurement", "--against", "measurement"), "--against scores a model"),
+        (
+            ("info", "measurement", "--against", "measurement"),
+            "--against: expected a model to score, got a measurement",
+        ),
         (("info", "measurement", "model", "--against", "model"), "give one"),
     ],
 )

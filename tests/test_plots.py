@@ -349,8 +349,11 @@ def test_vector_files(shell: BrdfMeasurement, tmp_path: Path, suffix: str, start
 
 BAD: dict[str, tuple[Callable[[BrdfMeasurement], Any], str]] = {
     "suffix": (lambda m: save_plot(Figure(), "plot.bmp"), ".png, .svg, .pdf"),
-    "folder": (lambda m: save_plot(Figure(), "none/plot.png"), "does not exist"),
-    "figure": (lambda m: draw(m, ("5", "10")), "'10' is not known; 5, 6, 7, 8, 9, path are"),
+    "folder": (lambda m: save_plot(Figure(), "none/plot.png"), "expected an existing folder"),
+    "figure": (
+        lambda m: draw(m, ("5", "10")),
+        "figure: expected one of 5, 6, 7, 8, 9, path, got '10'",
+    ),
     "no figure": (lambda m: draw(m, ()), "no figure"),
     "incidence": (lambda m: draw(m, incidence_deg=-1), "incidence_deg = -1"),
     "tilt": (lambda m: draw(m, surface_tilt_deg=91), "surface_tilt_deg = 91"),

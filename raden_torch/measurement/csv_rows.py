@@ -148,7 +148,7 @@ class _Numbers:
         except ValueError:
             pass
         raise InputError(
-            f"{self._place(line, column)}: {_shown(cell)} is not a number"
+            f"{self._place(line, column)}: expected a number, got {_shown(cell)}"
             + ("; thousands separators are not read" if _is_grouped(cell) else "")
         )
 

@@ -161,7 +161,7 @@ def test_constant_maps_are_broadcast(model, random_vectors) -> None:
 
 
 def test_wrong_shapes_are_one_line(model) -> None:
-    with pytest.raises(InputError, match=r"light \[3, 3, 4, 4\].*broadcast"):
+    with pytest.raises(InputError, match=r"which broadcast, got .*light \[3, 3, 4, 4\]"):
         model(torch.ones(2, 3, 4, 4), torch.ones(3, 3, 4, 4), torch.ones(2, 3, 4, 4))
 
 

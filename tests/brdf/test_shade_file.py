@@ -134,7 +134,9 @@ def test_an_interrupted_picture_leaves_the_old_one(tmp_path, model, error) -> No
 def test_what_cannot_be_shaded_in_bands(tmp_path, model) -> None:
     path, out = tmp_path / "in.exr", tmp_path / "out.exr"
     write_channels(path, {"Z": DEPTH})
-    with pytest.raises(InputError, match=r"in\.exr: depth without normals.*more memory"):
+    with pytest.raises(
+        InputError, match=r"in\.exr: expected normals, got depth alone.*more memory"
+    ):
         GBufferFile(path, fov_deg=50, memory=memory_for(32, 1))
     write_channels(path, layer("N.", "XYZ", BUMPS))
     needed = memory_for(16, 3)

@@ -164,9 +164,13 @@ def test_what_has_no_weight_is_refused() -> None:
     gap[3, 1] = np.nan
     place = f"incidence {a.incidence_deg[3]:g}, receiving {a.receiving_deg[3]:g}"
     for b in (a, readings(2)):
-        with pytest.raises(InputError, match=f"expected a standard deviation at {place}, .*, got none"):
+        with pytest.raises(
+            InputError, match=f"expected a standard deviation at {place}, .*, got none"
+        ):
             merge([replace(a, std=gap), b])
-        with pytest.raises(InputError, match=f"expected a standard deviation at {place}, .*, got none"):
+        with pytest.raises(
+            InputError, match=f"expected a standard deviation at {place}, .*, got none"
+        ):
             compare(b, replace(a, std=gap))
     with pytest.raises(InputError, match=r"reading 1: std_X: expected at least 0, got -1"):
         replace(a, std=-np.ones_like(gap))

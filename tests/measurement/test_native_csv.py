@@ -123,7 +123,7 @@ BAD = {
         HEADER + ROWS + "9,nan,9,1,1,1\n",
         "reading 4: receiving_deg: expected a finite number, got nan",
     ),
-    "word": (HEADER + ROWS + "9,9,9,1,one,1\n", "line 5, column Y: 'one' is not a number"),
+    "word": (HEADER + ROWS + "9,9,9,1,one,1\n", "line 5, column Y: expected a number, got 'one'"),
     "angle out of range": (
         HEADER + ROWS + "99,9,9,1,1,1\n",
         "reading 4: incidence_deg: expected 0…90 degrees, got 99",

@@ -66,7 +66,7 @@ def test_any_plan_ends_within_its_budget(step, budget, repeats, tilt, unreachabl
             repeats=repeats,
         )
     except InputError as error:
-        assert "read first; the budget is" in str(error)  # noqa: PT017
+        assert "which are read first, got" in str(error)  # noqa: PT017
         return
     end = rehearse(plan, lambda cells: ridge(cells, tilt=tilt))
     assert isinstance(end, AdaptivePlan)
@@ -131,10 +131,10 @@ def test_a_plan_survives_its_json() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"readings": 10}, "needs 20 cells at least"),
-        ({"target": 0.0}, "target error = 0"),
-        ({"target": float("nan")}, "target error = nan"),
-        ({"repeats": 0}, "repeats = 0"),
+        ({"readings": 10}, "expected at least 20 cells, got 10 readings"),
+        ({"target": 0.0}, "target error: expected 0…1, got 0"),
+        ({"target": float("nan")}, "target error: expected 0…1, got nan"),
+        ({"repeats": 0}, "repeats: expected 1…100, got 0"),
         ({"reachable": lambda position: "nowhere"}, "can reach none"),
     ],
 )

@@ -161,8 +161,8 @@ def test_a_changed_plan_is_noticed(journal_of_ten: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": 2}, "journal format 2; this version reads 1"),
-        ({"plan": {"kind": "clever"}}, "plan: kind 'clever' is not known"),
+        ({"format": 2}, "journal format: expected 1, got 2"),
+        ({"plan": {"kind": "clever"}}, "plan: kind: expected fixed or adaptive, got 'clever'"),
         ({"plan": 3}, "line 1"),
         ({"white": {}}, "line 1: KeyError"),
         ({"record": "reading"}, "not the header"),

@@ -170,8 +170,8 @@ def test_any_bytes_as_a_list_are_read_or_refused(tmp_path_factory, data: bytes) 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"step_deg": 0.0}, "step = 0"),
-        ({"step_deg": float("nan")}, "step = nan"),
+        ({"step_deg": 0.0}, "step: expected more than 0 deg, got 0"),
+        ({"step_deg": float("nan")}, "step: expected more than 0 deg, got nan"),
         ({"step_deg": 3.0}, "not a whole number of steps"),
         ({"step_deg": 0.1}, "cells; at most"),
         ({"step_deg": 1e-9}, "steps; at most"),
@@ -192,5 +192,5 @@ def test_a_plan_without_a_reachable_cell_is_refused() -> None:
 
 @pytest.mark.parametrize("repeats", [0, 101])
 def test_repeats_out_of_range(repeats: int) -> None:
-    with pytest.raises(InputError, match="repeats = "):
+    with pytest.raises(InputError, match="repeats: expected 1…100, got "):
         make_plan(grid(step_deg=35), "g", repeats=repeats)

@@ -83,18 +83,26 @@ def test_a_rig_is_read(rig_file) -> None:
         ('letter = "B"', 'letter = "A"', r"receiving.letter: 'A' turns incidence already"),
         ('letter = "B"', 'letter = "a"', r"'A' turns incidence already"),
         ('letter = "B"', 'letter = "Q"', r"'Q'; one of X, Y, Z"),
-        ("[-75, 75]", "[75, -75]", r"receiving.limits_deg: \[75, -75\] is reversed"),
+        (
+            "[-75, 75]",
+            "[75, -75]",
+            r"receiving.limits_deg: expected the lower limit first, got \[75, -75\]",
+        ),
         ("[-75, 75]", "[-75]", r"receiving.limits_deg: expected 2 numbers, .*, got \[-75\]"),
         ("[-75, 75]", "[0, 0.5]", r"receiving.limits_deg: 0…0.5 leaves no room for approach_deg"),
         ("[-75, 75]", "[nan, 75]", r"receiving.limits_deg: nan; a number in -180…180"),
-        ("limits_deg = [-72, 72]", "", r"goniometer.axes.tilt.limits_deg: is missing"),
+        (
+            "limits_deg = [-72, 72]",
+            "",
+            r"goniometer.axes.tilt.limits_deg: expected a value, got none",
+        ),
         ("direction = -1", "direction = 2", r"direction: expected one of 1, -1, got 2"),
         ("direction = -1", "direction = true", r"direction: expected one of 1, -1, got True"),
         ("zero_deg = 12.5", "zero_deg = 1" + "0" * 400, r"zero_deg: 1000.*…"),
         ("zero_deg = 12.5", "zero_deg = 1" + "0" * 9000, r"not valid TOML"),
         ("zero_deg = 12.5", 'zero_deg = "12.5"', r"zero_deg: '12.5'; a number in"),
         ('driver = "grbl"', 'driver = "dds5000"', r"goniometer.driver: 'dds5000'; one of grbl"),
-        ('driver = "grbl"', "", r"goniometer.driver: is missing"),
+        ('driver = "grbl"', "", r"goniometer.driver: expected a value, got none"),
         ('"/dev/ttyACM0"', '"/dev/ttyUSB0"', r"colorimeter.port: the goniometer has the same"),
         ("approach_deg = 1.0", "aproach_deg = 1.0", r"goniometer.aproach_deg: not a key"),
         ("approach_deg = 1.0", "baud = 0", r"goniometer.baud: 0; a number in 300"),
@@ -108,11 +116,19 @@ def test_a_rig_is_read(rig_file) -> None:
             "",
             r"white.reflectance_factor: expected this or `file` .*, got neither",
         ),
-        ("98.5", '98.5\nfile = "tile.csv"', r"one of the two"),
+        (
+            "98.5",
+            '98.5\nfile = "tile.csv"',
+            r"reflectance_factor: expected this or `file` .*, got both",
+        ),
         ("reflectance_factor = 98.5", 'file = "tile.csv"', r"tile.csv: No such file"),
         ("98.5", "98.5\ngeometry_deg = [80, 0, 0]", r"white.geometry_deg: out of reach: incidence"),
         ("98.5", "98.5\ngeometry_deg = [3, 0, 0]", r"out of reach: the detector hides the lamp"),
-        ('"M9", "G0 X0"', '"G0 A10"', r"show.sample: 'G0 A10' would drive A past its limits"),
+        (
+            '"M9", "G0 X0"',
+            '"G0 A10"',
+            r"show.sample: expected .*, got 'G0 A10', which would drive A past them",
+        ),
         ('"M9", "G0 X0"', '"G92 X0"', r"show.sample: 'G92 X0' changes coordinates"),
         ('"M9", "G0 X0"', '"G10L2P1X5"', r"changes coordinates"),
         ('"M9", "G0 X0"', '"$H"', r"show.sample: '\$H'; G-code words only"),
@@ -225,5 +241,7 @@ def test_what_a_rig_states_of_its_uncertainty(tmp_path: Path) -> None:
     assert found.position_std_deg == (0.0, 0.02, 0.02)
     assert (found.wavelength_std_nm, found.xyz_std) == (0.2, 0.01)
     path.write_text(RIG.replace('letter = "A"', 'letter = "A"\nzero_std_deg = -1'))
-    with pytest.raises(InputError, match=r"incidence.zero_std_deg: -1; a number in 0…10"):
+    with pytest.raises(
+        InputError, match=r"incidence.zero_std_deg: expected a number in 0…10, got -1"
+    ):
         load_rig(path)

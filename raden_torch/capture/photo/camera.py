@@ -102,7 +102,7 @@ def calibrate(views: Sequence[BoardView]) -> Calibration:
 
     if len(views) < _FEWEST_VIEWS:
         raise InputError(
-            f"expected at least {_FEWEST_VIEWS} photographs with a board from different "
+            f"calibration: expected at least {_FEWEST_VIEWS} photographs with a board from different "
             f"directions, better ten, got {len(views)}"
         )
     size = _one_size(views)

@@ -108,7 +108,7 @@ def _views(
         frames.append(small(draw_board(picture, view)))
     if len(views) < enough:
         raise InputError(
-            f"expected at least {enough} photographs that show the board, got {len(views)} of "
+            f"photographs that show the board: expected at least {enough}, got {len(views)} of "
             f"{len(paths)}. {wrong[0] if wrong else ''}".strip()
         )
     for message in wrong:

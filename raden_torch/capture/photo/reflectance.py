@@ -52,11 +52,13 @@ def band_reflectance(
     xy = np.asarray(centres, np.float64)
     if not (s.shape == r.shape == xy.shape[:1] and len(s) >= 10):
         raise InputError(
-            f"expected one value a patch for ten patches or more, got signal {list(s.shape)}, "
+            f"patches: expected one value each, for ten patches or more, got signal {list(s.shape)}, "
             f"reference {list(r.shape)}, centres {list(xy.shape)}"
         )
     if not (np.isfinite(s).all() and s.max() > 0 and (r > 0).all()):
-        raise InputError("expected finite signals, not all 0, and a reference above 0, got others")
+        raise InputError(
+            "patches: expected finite signals, not all 0, and a reference above 0, got others"
+        )
     x, y = ((xy - xy.mean(axis=0)) / xy.std(axis=0)).T
     surface = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
     tried = [_left_out(s, r, surface[:, :terms]) for terms in _TERMS]
