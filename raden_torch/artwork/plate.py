@@ -14,7 +14,7 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.brdf.shading.shade import shade
-from raden_torch.brdf.shading.shapes import camera_rays, check_rays
+from raden_torch.brdf.shading.sphere_gbuffer import camera_rays, check_rays
 from raden_torch.errors import InputError
 
 _DOME, _ROLL, _ROLL_WIDTH, _CORNER = 0.06, 0.025, 0.10, 0.12

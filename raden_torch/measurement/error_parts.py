@@ -9,8 +9,8 @@ import numpy as np
 from raden_torch.arrays import Floats, Ints
 from raden_torch.errors import InputError
 from raden_torch.measurement.colour_conversion import matrix_to
-from raden_torch.measurement.common_errors import zero_sensitivity
 from raden_torch.measurement.readings import BrdfMeasurement
+from raden_torch.measurement.systematic_errors import zero_sensitivity
 from raden_torch.reflectance.slopes import slopes_per_deg
 
 _LEAST_OWN = 1.0 / 3.0  # of `std`: what a slope that was overestimated may take from it
@@ -60,7 +60,7 @@ def error_parts(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> Erro
         InputError: its channels make no colour, or some readings state no standard deviation.
     """
     m = measurement.select(measurement.valid)
-    common = m.metadata.common
+    common = m.metadata.systematic
     floor = (_LEAST_STD * abs(m.values).max(initial=1e-6)) ** 2
     variance = np.full(m.values.shape, floor)
     zeros = np.zeros((*m.values.shape, 3))
@@ -104,7 +104,7 @@ def stated_variance(measurement: BrdfMeasurement) -> Floats:
 
 def zero_effects(measurement: BrdfMeasurement) -> Floats:
     """`[M, C, 3]`: what one standard deviation of each axis' zero does to each value."""
-    m, common = measurement, measurement.metadata.common
+    m, common = measurement, measurement.metadata.systematic
     slopes = slopes_per_deg(m.angles_deg, m.values, m.valid)
     sensitivity = zero_sensitivity(m.values, m.angles_deg, slopes, common.white_deg)
     return np.asarray(sensitivity * np.array(common.zero_std_deg))

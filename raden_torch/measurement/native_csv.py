@@ -9,7 +9,7 @@
 Rows in any order, gaps allowed. Optional columns: `azimuth_deg`, `std_<channel>`, `count`, `valid`
 (0 or 1). An empty or `nan` value is a reading without a value. `readings`, where it is given, must
 be the number of rows: that is how a file cut at the end of a line is noticed. The entries
-of `CommonErrors` (`scale_std` and others) may be missing.
+of `SystematicErrors` (`scale_std` and others) may be missing.
 
 So it is written, in UTF-8. It is read as spreadsheets save it, too: `csv_table` and `text_file` say
 which encodings, separators, decimal commas and column names are taken; a warning says what was.
@@ -28,7 +28,7 @@ import numpy as np
 from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, written_beside
-from raden_torch.measurement import common_errors
+from raden_torch.measurement import systematic_errors
 from raden_torch.measurement.csv_table import CsvTable, find_heading, open_table
 from raden_torch.measurement.readings import BrdfMeasurement, Metadata
 
@@ -37,7 +37,7 @@ _ANGLES = ("incidence_deg", "receiving_deg", "tilt_deg")
 _QUANTITY = "reflectance factor, perfect reflecting diffuser = 100 in every geometry"
 _OWN_KEYS = (
     *("material", "quantity", "instrument", "white", "observer", "simulated", "readings"),
-    *common_errors.KEYS,
+    *systematic_errors.KEYS,
 )
 _QUARTER_TURN_RAD = 1.6
 
@@ -106,7 +106,7 @@ def write(measurement: BrdfMeasurement, path: str | os.PathLike[str]) -> None:
         ("white", meta.white),
         ("observer", meta.observer),
         ("simulated", "true" if meta.simulated else "false"),
-        *meta.common.as_entries(),
+        *meta.systematic.as_entries(),
         *meta.other,
         ("readings", str(len(m))),
     ]
@@ -244,8 +244,8 @@ def _metadata(path: Path, header: _Header) -> Metadata:
     scale = re.search(r"=\s*([0-9]+(?:\.[0-9]+)?)", quantity)
     if scale and float(scale[1]) != 100:
         raise InputError(
-            f"measurement: header: perfect reflecting diffuser: expected 100, got {scale[1]}; scale "
-            "the values"
+            f"measurement: header: perfect reflecting diffuser: expected 100, got {scale[1]}; "
+            "scale the values"
         )
     stated = re.search(r"\b(D50|D55|D60|D65|D75|A|C|E)\s*$", quantity)
     ten_degrees = re.search(r"CIE 1964|\b10 deg", quantity)
@@ -256,7 +256,7 @@ def _metadata(path: Path, header: _Header) -> Metadata:
         observer=entries.get("observer")
         or ("CIE 1964 10 deg" if ten_degrees else "CIE 1931 2 deg"),
         simulated=simulated == "true",
-        common=common_errors.CommonErrors.from_entries(entries),
+        systematic=systematic_errors.SystematicErrors.from_entries(entries),
         other=tuple((k, v) for k, v in entries.items() if k not in _OWN_KEYS),
         notes=header.notes,
     )

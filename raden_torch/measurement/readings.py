@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.consistency import pair_contradicts
+from raden_torch.measurement.systematic_errors import SystematicErrors
 from raden_torch.reflectance.grid import DIGITS, AngleGrid
 
 XYZ = ("X", "Y", "Z")
@@ -50,7 +50,7 @@ class Metadata:
     white: str = "D65"
     observer: str = "CIE 1931 2 deg"
     simulated: bool = False
-    common: CommonErrors = field(default_factory=CommonErrors)
+    systematic: SystematicErrors = field(default_factory=SystematicErrors)
     other: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -97,7 +97,7 @@ class BrdfMeasurement:
             band, as "550nm".
         azimuth_deg: `[M]` or None.
         std: `[M, C]` standard deviations (k = 1) or None: all that is known but the error of the
-            scale, which is common to all readings (`metadata.common`).
+            scale, which is common to all readings (`metadata.systematic`).
         count: `[M]` how many raw readings went into a row, or None.
         valid: `[M]`; a row whose value is NaN is never valid.
 

@@ -20,7 +20,7 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots.chromaticity import plot_path
 from raden_torch.plots.cuts import ANGLE_LIMITS_DEG
 from raden_torch.plots.lines import plot_in_plane, plot_over_tilt
-from raden_torch.plots.look import INK, TEXT, families, printable
+from raden_torch.plots.plot_style import INK, TEXT, families, printable
 from raden_torch.plots.surfaces import plot_diffuse_surface, plot_specular_surface
 from raden_torch.plots.view import View, view_of
 

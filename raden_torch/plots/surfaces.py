@@ -11,7 +11,15 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots.cuts import Cut, NotMeasuredError
-from raden_torch.plots.look import INK, SMALL, TEXT, brightest, curves, say_missing, true_colour
+from raden_torch.plots.plot_style import (
+    INK,
+    SMALL,
+    TEXT,
+    brightest,
+    curves,
+    say_missing,
+    true_colour,
+)
 from raden_torch.plots.view import View, view_of
 
 _SYMBOLS = {"incidence": "a", "receiving": "r", "tilt": "t"}

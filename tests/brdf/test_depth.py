@@ -109,7 +109,7 @@ def test_what_is_wrong_with_a_depth_is_said(tmp_path):
     assert bool((read_gbuffer(path, fov_deg=40, depth="negative").mask == 1).all())
     with pytest.raises(
         InputError,
-        match="depth kind: expected planar or distance or negative or blender .*, got 'ray'",
+        match=r"depth kind: expected planar or distance or negative or blender .*, got 'ray'",
     ):
         read_gbuffer(path, fov_deg=40, depth="ray")
 

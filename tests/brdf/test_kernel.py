@@ -16,7 +16,7 @@ import torch
 import raden_torch as rt
 from raden_torch.brdf.model import kernel, simd
 from raden_torch.brdf.model.model import CosineDiffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 
 needs_kernel = pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
@@ -299,7 +299,7 @@ def test_a_forked_child_has_threads_of_its_own(tmp_path: Path) -> None:
     script.write_text(
         "import os, torch, raden_torch as rt\n"
         "from raden_torch.brdf import kernel\n"
-        "from raden_torch.brdf.model.table import ReflectanceTable\n"
+        "from raden_torch.brdf.model.reflectance_table import ReflectanceTable\n"
         "torch.set_num_threads(2)\n"
         "t = ReflectanceTable(torch.rand(3, 3, 3, 3), (0., -70., -70.), (35., 70., 70.))\n"
         "model, up = rt.RadenBrdf(None, t), torch.tensor([0., 0., 1.]).view(1, 3, 1, 1)\n"

@@ -18,7 +18,7 @@ from raden_torch.errors import InputError
 def model() -> rt.RadenBrdf:
     """A small random model: every branch is reached, nothing is smooth."""
     from raden_torch.brdf.model.model import Provenance
-    from raden_torch.brdf.model.table import ReflectanceTable
+    from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 
     generator = torch.Generator().manual_seed(0)
     table = torch.rand(8, 15, 15, 3, generator=generator)

@@ -25,7 +25,7 @@ from raden_torch.brdf.files.image_file import (
     read_photograph,
     write_photograph,
 )
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.images.exr import read_channels, write_channels
 from raden_torch.pictures import relight_files

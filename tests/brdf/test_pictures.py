@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from raden_torch.brdf.files.display import auto_exposure_ev, to_display, write_picture
-from raden_torch.brdf.shading.shapes import average_samples, sphere
+from raden_torch.brdf.shading.sphere_gbuffer import average_samples, sphere
 from raden_torch.errors import InputError
 
 

@@ -18,7 +18,7 @@ from raden_torch.brdf.files.image_file import (
     read_photograph,
     write_photograph,
 )
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading.relight import lamp_ring, matching_gain, relight, relit_strip
 from raden_torch.errors import InputError
 

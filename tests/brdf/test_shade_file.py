@@ -16,7 +16,7 @@ from raden_torch.brdf.files import gbuffer_file
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_colour, read_gbuffer, write_image
 from raden_torch.brdf.files.shade_file import shade_file
 from raden_torch.brdf.model.model import CosineDiffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels, write_parts
 from raden_torch.pictures import render_gbuffer_file

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.interpolate import RegularGridInterpolator
 
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 
 FIRST, STEP, SHAPE = (0.0, -30.0, -20.0), (5.0, 10.0, 4.0), (4, 7, 11)

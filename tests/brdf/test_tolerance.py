@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import raden_torch as rt
 from raden_torch.brdf.model import kernel, simd
 from raden_torch.brdf.model.model import CosineDiffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading.lit_sphere import lit_sphere
 from raden_torch.errors import InputError
 

@@ -10,7 +10,7 @@ import pytest
 import raden_torch as rt
 from raden_torch.errors import InputError
 from raden_torch.export.runtimes import onnx_session
-from raden_torch.export.session import ShaderSession
+from raden_torch.export.shader_session import ShaderSession
 
 
 @pytest.fixture(scope="module")

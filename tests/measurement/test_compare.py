@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.compare import compare
 from raden_torch.measurement.consistency import Chi2, Covariance
 from raden_torch.measurement.error_parts import zero_effects
+from raden_torch.measurement.systematic_errors import SystematicErrors
 from raden_torch.reflectance.regions import REGIONS, regions
 from raden_torch.reflectance.slopes import slopes_per_deg
 
@@ -29,7 +29,7 @@ def noisy(
         truth,
         values=factor * truth.values + noise,
         std=std,
-        metadata=replace(truth.metadata, common=CommonErrors(**common)),
+        metadata=replace(truth.metadata, systematic=SystematicErrors(**common)),
     )
 
 
@@ -78,8 +78,8 @@ def test_p_values_are_calibrated(small) -> None:
 def test_zeros_that_are_off_as_stated_are_no_contradiction(analytic) -> None:
     """One zero for all readings: added to each cell's variance, χ² would be far from its dof."""
     truth, rng = analytic(step=7.0), np.random.default_rng(2)
-    common = CommonErrors(zero_std_deg=(0.2, 0.2, 0.2), white_deg=(45.0, 0.0, 0.0))
-    stated = replace(truth, metadata=replace(truth.metadata, common=common))
+    common = SystematicErrors(zero_std_deg=(0.2, 0.2, 0.2), white_deg=(45.0, 0.0, 0.0))
+    stated = replace(truth, metadata=replace(truth.metadata, systematic=common))
     effects = zero_effects(stated)
 
     def measured() -> BrdfMeasurement:

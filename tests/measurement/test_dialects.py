@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import raden_torch as rt
-from raden_torch.capture.spectrometer.cells import list_cells
 from raden_torch.capture.spectrometer.ports import Position
+from raden_torch.capture.spectrometer.scan_cells import list_cells
 from raden_torch.capture.spectrometer.white_file import xyz_at
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata

@@ -89,7 +89,7 @@ def test_legacy_pattern_is_found(board_scene: Callable) -> None:
         assert view.board.legacy is legacy
         assert len(view.ids) == 35
         with pytest.raises(
-            InputError, match="expected a 6 x 8 board .*, got 24 markers that do not form one"
+            InputError, match=r"expected a 6 x 8 board .*, got 24 markers that do not form one"
         ):
             find_board(picture, replace(EVEN, legacy=not legacy), "a.png")
 
@@ -108,7 +108,7 @@ def test_what_is_wrong_with_a_picture(board_scene: Callable) -> None:
         (cv2.GaussianBlur(picture, (0, 0), 4), r"a\.png: .*blurred"),
         (picture[:9], r"a\.png: expected a photograph of a board, got 640 x 9 pixels"),
         (np.full_like(picture, 255), "over-exposed nearly everywhere"),
-        (np.full_like(picture, 90), "no board; a 5 x 7 board of DICT_6X6_250"),
+        (np.full_like(picture, 90), "expected a 5 x 7 board of DICT_6X6_250, .*, got no board"),
         (np.concatenate([picture, picture], 1), "there twice: two boards in one photograph"),
     ):
         with pytest.raises(InputError, match=message):
@@ -120,12 +120,15 @@ def test_what_is_wrong_with_a_picture(board_scene: Callable) -> None:
 
 def test_what_is_wrong_with_views(board_scene: Callable) -> None:
     view = find_board(board_scene(BOARD, *PLACES[0]), BOARD, "a.png")
-    with pytest.raises(InputError, match="expected at least 3 photographs with a board .*, got 2"):
+    with pytest.raises(InputError, match=r"expected at least 3 photographs with a board .*, got 2"):
         calibrate([view, view])
     big = BoardView("b.png", (960, 1280), BOARD, view.ids, view.pixels * 2)
-    with pytest.raises(InputError, match=r"b\.png: 1280 x 960 pixels, but a\.png has 640 x 480"):
+    with pytest.raises(
+        InputError,
+        match=r"b\.png: .* one size .*, got 1280 x 960 pixels, but a\.png has 640 x 480",
+    ):
         calibrate([view, view, big])
-    with pytest.raises(InputError, match=r"b\.png: 1280 x 960 pixels, but the camera was"):
+    with pytest.raises(InputError, match=r"b\.png: expected 640 x 480 pixels, .*, got 1280 x 960"):
         board_pose(big, CAMERA)
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from raden_torch.capture.photo.band_reflectance import band_reflectance
 from raden_torch.capture.photo.chart import Chart, Patches, find_charts, read_patches, reference_xyz
 from raden_torch.capture.photo.colour import METHODS, fit_colour, read_colour, write_colour
 from raden_torch.capture.photo.exposures import merge_exposures, subtract_dark
 from raden_torch.capture.photo.photograph import Photograph, read_linear, shown
-from raden_torch.capture.photo.reflectance import band_reflectance
 from raden_torch.errors import InputError
 
 CAMERA = np.array([[0.9, 0.35, 0.1], [0.1, 1.1, 0.15], [0.02, 0.2, 0.8]])
@@ -96,8 +96,8 @@ def test_file(tmp_path: Path) -> None:
     for change, message in (
         (('"least squares"', '"magic"'), "method: expected .*, got 'magic'"),
         (('"kind": "colour"', '"kind": "camera"'), "expected a colour file, got a camera file"),
-        (('"version": 1', '"version": 9'), "version 9"),
-        (('"matrix"', '"matrox"'), "no matrix"),
+        (('"version": 1', '"version": 9'), "expected version 1, got 9"),
+        (('"matrix"', '"matrox"'), "got one without matrix"),
         (("{", "["), "not JSON"),
     ):
         path.write_text(text.replace(*change, 1))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from raden_torch.capture.photo.brdf.cell_fit import FEWEST, robust_fit
 from raden_torch.capture.photo.brdf.cell_sums import CellSums
-from raden_torch.capture.photo.brdf.cells import MAX_CELLS, CellGrid, basis
+from raden_torch.capture.photo.brdf.photo_cells import MAX_CELLS, CellGrid, basis
 from raden_torch.capture.photo.brdf.reservoir import Reservoir, rank_in_group
 from raden_torch.errors import InputError
 

@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 
 from raden_torch.capture.spectrometer import adaptive
 from raden_torch.capture.spectrometer.adaptive import AdaptivePlan, make_adaptive_plan
-from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import JournalFile, read_journal
 from raden_torch.capture.spectrometer.lab_report import make_report
-from raden_torch.capture.spectrometer.plan import make_plan
+from raden_torch.capture.spectrometer.next_cells import estimate
 from raden_torch.capture.spectrometer.plan_choice import PlanChoice
 from raden_torch.capture.spectrometer.plan_json import plan_from_json
 from raden_torch.capture.spectrometer.ports import Position
 from raden_torch.capture.spectrometer.reduction import reduce_readings
 from raden_torch.capture.spectrometer.rehearsal import rehearse
 from raden_torch.capture.spectrometer.scan import check_resumable, run_scan
+from raden_torch.capture.spectrometer.scan_cells import grid
+from raden_torch.capture.spectrometer.scan_plan import make_plan
 from raden_torch.capture.spectrometer.travel import travel_deg
-from raden_torch.capture.spectrometer.where_next import estimate
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 

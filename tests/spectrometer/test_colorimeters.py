@@ -313,6 +313,6 @@ def test_cs100a_strangers(scripted_lines) -> None:
 
 def test_a_driver_that_nobody_brought() -> None:
     with pytest.raises(
-        InputError, match="driver: expected one of cs2000, cr, cs100a.*, got 'dds5000'"
+        InputError, match=r"driver: expected one of cs2000, cr, cs100a.*, got 'dds5000'"
     ):
         open_colorimeter(settings("dds5000", "/dev/null"))

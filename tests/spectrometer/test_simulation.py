@@ -32,7 +32,7 @@ from raden_torch.capture.spectrometer.simulation import (
 from raden_torch.capture.spectrometer.simulation.faults import FaultPlan
 from raden_torch.capture.spectrometer.simulation.grbl_controller import GrblController
 from raden_torch.capture.spectrometer.simulation.motion import planned
-from raden_torch.capture.spectrometer.simulation.scene import make_scene
+from raden_torch.capture.spectrometer.simulation.simulated_radiance import make_scene
 from raden_torch.capture.spectrometer.simulation.stage import Stage, read_stage, write_stage
 from raden_torch.errors import InputError
 

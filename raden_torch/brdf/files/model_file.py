@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
-from raden_torch.brdf.model.table import Pieces, ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, written_beside
 

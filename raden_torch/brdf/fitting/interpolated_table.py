@@ -11,7 +11,7 @@ import torch
 from raden_torch.arrays import Floats
 from raden_torch.brdf.fitting.bake import bake
 from raden_torch.brdf.fitting.tabulate import Tabulated
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix

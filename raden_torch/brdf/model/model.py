@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from raden_torch import geometry
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.diffuse import diffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 
 

@@ -102,8 +102,8 @@ def calibrate(views: Sequence[BoardView]) -> Calibration:
 
     if len(views) < _FEWEST_VIEWS:
         raise InputError(
-            f"calibration: expected at least {_FEWEST_VIEWS} photographs with a board from different "
-            f"directions, better ten, got {len(views)}"
+            f"calibration: expected at least {_FEWEST_VIEWS} photographs with a board from "
+            f"different directions, better ten, got {len(views)}"
         )
     size = _one_size(views)
     points = [view.points_m.astype(np.float32) for view in views]

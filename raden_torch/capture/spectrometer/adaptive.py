@@ -14,8 +14,9 @@ from typing import Any, final
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.spectrometer.cells import Reachable, checked_cells, within_reach
-from raden_torch.capture.spectrometer.plan import (
+from raden_torch.capture.spectrometer.next_cells import choose, estimate
+from raden_torch.capture.spectrometer.scan_cells import Reachable, checked_cells, within_reach
+from raden_torch.capture.spectrometer.scan_plan import (
     Decision,
     Plan,
     cells_as_json,
@@ -23,7 +24,6 @@ from raden_torch.capture.spectrometer.plan import (
     checked_repeats,
 )
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
-from raden_torch.capture.spectrometer.where_next import choose, estimate
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.symmetry import canonical

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from raden_torch.capture.spectrometer.adaptive import AdaptivePlan
-from raden_torch.capture.spectrometer.plan import FixedPlan, Plan, cells_from_json
+from raden_torch.capture.spectrometer.scan_plan import FixedPlan, Plan, cells_from_json
 from raden_torch.errors import InputError
 
 

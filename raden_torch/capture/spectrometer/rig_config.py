@@ -274,7 +274,7 @@ class _Table:
         unknown = [key for key in self._content if key not in self._used]
         if unknown:
             raise self.error(
-                unknown[0], f"expected one of {', '.join(sorted(self._used))}, got this unknown key"
+                unknown[0], f"expected one of {', '.join(sorted(self._used))}, got {unknown[0]!r}"
             )
 
     def value(self, key: str, default: Any = ...) -> Any:

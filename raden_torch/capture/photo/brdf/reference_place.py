@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Bools, Floats
+from raden_torch.capture.photo.brdf.photo_white import WhitePlace
 from raden_torch.capture.photo.brdf.sample import board_pixels, board_plane, eroded
-from raden_torch.capture.photo.brdf.shapes import Plane
-from raden_torch.capture.photo.brdf.white import WhitePlace
+from raden_torch.capture.photo.brdf.sample_shapes import Plane
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.errors import InputError

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.photo.ball import ball_from_mask, find_ball
+from raden_torch.capture.photo.brdf.cylinder_axis import rod_from_mask, rod_on_board
 from raden_torch.capture.photo.brdf.rays import (
     board_direction,
     board_to_scene,
     projected,
     rays_through,
 )
-from raden_torch.capture.photo.brdf.rod import rod_from_mask, rod_on_board
-from raden_torch.capture.photo.brdf.shapes import Plane, Shape, Sphere
+from raden_torch.capture.photo.brdf.sample_shapes import Plane, Shape, Sphere
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.errors import InputError
@@ -60,7 +60,7 @@ class SampleSpec:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class SampleInPhotograph:
     """The sample in one photograph: its shape, and `[P]` columns and rows of its pixels."""
 
     shape: Shape
@@ -75,7 +75,7 @@ def place(
     size: tuple[int, int],
     all_of_them: Callable[[], list[NDArray[Any]]],
     name: str,
-) -> Placed:
+) -> SampleInPhotograph:
     """Find the sample.
 
     Args:
@@ -110,7 +110,7 @@ def place(
     hit = np.isfinite(normal).all(axis=1)
     if not hit.any():
         raise InputError(f"{name}: no pixel shows the sample; is it in the picture?")
-    return Placed(shape, x[hit], y[hit])
+    return SampleInPhotograph(shape, x[hit], y[hit])
 
 
 def board_pixels(

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.camera import View
 from raden_torch.capture.photo.simulation.materials import Material, material_of, truth_of
+from raden_torch.capture.photo.simulation.mitsuba_scene import printed, sheet
 from raden_torch.capture.photo.simulation.photo_file import write_photograph
-from raden_torch.capture.photo.simulation.plan import (
+from raden_torch.capture.photo.simulation.photo_plan import (
     FACING,
     WHITE,
     PhotoPlan,
@@ -26,7 +26,7 @@ from raden_torch.capture.photo.simulation.plan import (
 )
 from raden_torch.capture.photo.simulation.plane_set import plane_plan
 from raden_torch.capture.photo.simulation.renderer import SPECIMEN, Studio
-from raden_torch.capture.photo.simulation.scene import printed, sheet
+from raden_torch.capture.photo.simulation.simulated_camera import View
 from raden_torch.capture.photo.simulation.sphere_set import sphere_plan
 from raden_torch.capture.photo.simulation.truth import commands, write_truth
 from raden_torch.capture.photo.simulation.variants import SCALAR, mitsuba
@@ -116,7 +116,7 @@ def simulate_photographs(
     material = material_of(options.material)
     plan = _plan(mi, options)
     with _whole_folder(folder) as beside:
-        taken = _Shoot(mi, beside, plan, material, options, done)
+        taken = _PhotoSession(mi, beside, plan, material, options, done)
         taken.boards()
         taken.lamps_and_chart()
         truth_of(mi, material).save(beside / "truth.csv")
@@ -147,7 +147,7 @@ def _plan(mi: Any, options: Options) -> PhotoPlan:
     return plane_plan(mi, camera, views=options.views, **how)
 
 
-class _Shoot:
+class _PhotoSession:
     """The photographs of one plan, one after another."""
 
     def __init__(

@@ -19,8 +19,8 @@ from raden_torch.capture.spectrometer.csv_file import load_csv
 from raden_torch.capture.spectrometer.rig import Rig
 from raden_torch.capture.spectrometer.rig_config import load_rig
 from raden_torch.capture.spectrometer.simulation.faults import Fault, read_log
-from raden_torch.capture.spectrometer.simulation.laboratory import Errors
-from raden_torch.capture.spectrometer.stated import StatedUncertainty
+from raden_torch.capture.spectrometer.simulation.laboratory import InstrumentErrors
+from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
 from raden_torch.errors import InputError
 
 WHITE_FACTOR = 99.0
@@ -73,9 +73,9 @@ class Conditions:
             raise InputError("conditions: white_luminance_cd_m2: expected more than 0, got 0")
 
     @property
-    def errors(self) -> Errors:
+    def errors(self) -> InstrumentErrors:
         """As the laboratory has them, relative to the perfect diffuser's light."""
-        return Errors(
+        return InstrumentErrors(
             noise=self.noise,
             dark_noise=self.dark_noise_cd_m2 / self.white_luminance_cd_m2,
             dark_level=self.dark_level_cd_m2 / self.white_luminance_cd_m2,
@@ -134,7 +134,7 @@ def simulated_rig(
         InputError: the measurement cannot be read or is not a grid; a number is out of range; the
             system has no ptys.
     """
-    from raden_torch.capture.spectrometer.simulation.scene import make_scene
+    from raden_torch.capture.spectrometer.simulation.simulated_radiance import make_scene
 
     _check(seed, faults or {}, time_scale)
     if sys.platform == "win32":

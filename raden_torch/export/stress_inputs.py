@@ -9,13 +9,13 @@ import torch
 from torch import Tensor
 
 from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.export.profiles import Port, ports
+from raden_torch.export.profiles import GraphInput, ports
 
 _SEED = 2012
 
 
 @dataclass(frozen=True)
-class Case:
+class StressCase:
     """One call of the shader: a name for people, and the inputs by name."""
 
     name: str
@@ -28,7 +28,7 @@ class Case:
         return set(self.inputs) <= required and all(t.numel() for t in self.inputs.values())
 
 
-def cases(model: RadenBrdf, profile: str, output: str, *, fixed: bool = False) -> list[Case]:
+def cases(model: RadenBrdf, profile: str, output: str, *, fixed: bool = False) -> list[StressCase]:
     """The stress set of a profile; the same numbers every time.
 
     Args:
@@ -49,15 +49,15 @@ def cases(model: RadenBrdf, profile: str, output: str, *, fixed: bool = False) -
     masked = _mask((2, 6, 5), draw)
     return [
         *found,
-        Case("mask", ordinary | {"mask": masked}),
-        Case(
+        StressCase("mask", ordinary | {"mask": masked}),
+        StressCase(
             "other lamp" if fixed else "other shell",
             ordinary | changed | {"mask": masked[:, :, :1]},
         ),
     ]
 
 
-def _gbuffer_cases(draw: torch.Generator) -> list[Case]:
+def _gbuffer_cases(draw: torch.Generator) -> list[StressCase]:
     normal, light, view = _vectors((2, 64, 48), draw).values()
     n, l, v = (_unit(vectors) for vectors in (normal, light, view))  # noqa: E741
     near = _unit(l + 10 ** (-5 + 4 * _uniform((2, 1, 64, 48), draw)) * v)
@@ -78,7 +78,7 @@ def _gbuffer_cases(draw: torch.Generator) -> list[Case]:
         **{str(size): tuple(_vectors(size, draw).values()) for size in _SIZES},
     }
     return [
-        Case(name, dict(zip(("normal", "light", "view"), maps, strict=True)))
+        StressCase(name, dict(zip(("normal", "light", "view"), maps, strict=True)))
         for name, maps in triples.items()
     ]
 
@@ -87,7 +87,7 @@ _SIZES = ((1, 1, 1), (1, 3, 7), (3, 7, 3), (1, 0, 4), (1, 4, 0))
 """Batch, height, width."""
 
 
-def _scene_cases(draw: torch.Generator) -> list[Case]:
+def _scene_cases(draw: torch.Generator) -> list[StressCase]:
     ring = _scene((1, 24, 32), 4, draw)
     ring["light"] = ring["camera"] + 0.02 * torch.randn(4, 3, generator=draw)
     ring["light"] = torch.cat([ring["light"], torch.ones(4, 1)], 1)
@@ -99,12 +99,12 @@ def _scene_cases(draw: torch.Generator) -> list[Case]:
     each = _scene((2, 24, 16), 5, draw)
     each["camera"] = torch.tensor([[0.0, 0.0, 5.0], [1.0, 2.0, 4.0]])
     return [
-        Case("random", each),
-        Case("lamps around the camera", ring),
-        Case("lamp at the camera", at_camera),
-        Case("not vectors", broken),
-        *(Case(f"{k} lights", _scene((1, 5, 6), k, draw)) for k in (0, 1, 7)),
-        *(Case(str(size), _scene(size, 2, draw)) for size in _SIZES),
+        StressCase("random", each),
+        StressCase("lamps around the camera", ring),
+        StressCase("lamp at the camera", at_camera),
+        StressCase("not vectors", broken),
+        *(StressCase(f"{k} lights", _scene((1, 5, 6), k, draw)) for k in (0, 1, 7)),
+        *(StressCase(str(size), _scene(size, 2, draw)) for size in _SIZES),
     ]
 
 
@@ -173,7 +173,7 @@ def _mask(size: tuple[int, int, int], draw: torch.Generator) -> Tensor:
     return values[torch.randint(0, 6, (batch, 1, height, width), generator=draw)]
 
 
-def _changed(port: Port) -> Tensor:
+def _changed(port: GraphInput) -> Tensor:
     """Another shell, or another exposure, of the same shape."""
     assert port.default is not None
     ramp = torch.linspace(0.7, 1.1, port.default.numel()).reshape(port.default.shape)

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 
 from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.geometry import XYZ_DIM
 

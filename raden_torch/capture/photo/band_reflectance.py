@@ -52,8 +52,8 @@ def band_reflectance(
     xy = np.asarray(centres, np.float64)
     if not (s.shape == r.shape == xy.shape[:1] and len(s) >= 10):
         raise InputError(
-            f"patches: expected one value each, for ten patches or more, got signal {list(s.shape)}, "
-            f"reference {list(r.shape)}, centres {list(xy.shape)}"
+            f"patches: expected one value each, for ten patches or more, got signal "
+            f"{list(s.shape)}, reference {list(r.shape)}, centres {list(xy.shape)}"
         )
     if not (np.isfinite(s).all() and s.max() > 0 and (r > 0).all()):
         raise InputError(

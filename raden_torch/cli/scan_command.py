@@ -18,9 +18,9 @@ from raden_torch.interrupts import Interrupted
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from raden_torch.capture.spectrometer.journal import Contents, JournalFile
+    from raden_torch.capture.spectrometer.journal import JournalContents, JournalFile
     from raden_torch.capture.spectrometer.rig import Rig
-    from raden_torch.capture.spectrometer.session import Instruments
+    from raden_torch.capture.spectrometer.scan_session import Instruments
 
 STOPPED = 3
 """The exit code of a scan that stopped before its end and can be resumed."""
@@ -98,7 +98,7 @@ def scan(
     seed: Annotated[int, typer.Option(help="of random cells, simulated noise and faults")] = 0,
 ) -> None:
     """Measure a sample with a goniospectrometer, from its plan to a measurement file."""
-    from raden_torch.capture.spectrometer import session
+    from raden_torch.capture.spectrometer import scan_session
     from raden_torch.capture.spectrometer.journal import read_journal
     from raden_torch.capture.spectrometer.plan_choice import PlanChoice
 
@@ -120,14 +120,14 @@ def scan(
         return
     if output is not None:
         check_output(output, (".csv",), inputs=(config, plan, specimen))
-    journal_path = None if output is None else session.journal_path(output)
+    journal_path = None if output is None else scan_session.journal_path(output)
     position = None if stands_at is None else triple("--stands-at", stands_at)
     if resume and (white_every is not None or white_readings is not None):
         raise InputError(
             "--resume: --white-every and --white-readings are in the journal; leave them out"
         )
     every_s = 600.0 if white_every is None else 60 * white_every
-    references = session.References(every_s, 5 if white_readings is None else white_readings)
+    references = scan_session.References(every_s, 5 if white_readings is None else white_readings)
     choice = PlanChoice(
         plan,
         step,
@@ -151,20 +151,20 @@ def scan(
         if dry_run:
             if wanted is None:
                 raise InputError("--dry-run says what a plan takes; leave out --check and --resume")
-            for line in session.forecast(rig, wanted, references, reading_s=reading_seconds):
+            for line in scan_session.forecast(rig, wanted, references, reading_s=reading_seconds):
                 print(line)
             return
         if simulate:
-            references = session.References(every_s / scale, references.readings)
+            references = scan_session.References(every_s / scale, references.readings)
             sample = sample or Path(specimen).stem
         operator = _Operator()
-        with session.open_instruments(rig, operator) as instruments:
+        with scan_session.open_instruments(rig, operator) as instruments:
             if check:
                 _print_check(rig, instruments, move=yes)
                 return
             assert output is not None
             assert journal_path is not None
-            with session.open_journal(
+            with scan_session.open_journal(
                 journal_path,
                 rig,
                 instruments,
@@ -226,9 +226,9 @@ def _rig_of(
 
 
 def _print_check(rig: Rig, instruments: Instruments, *, move: bool) -> None:
-    from raden_torch.capture.spectrometer import session
+    from raden_torch.capture.spectrometer import scan_session
 
-    for line in session.check_rig(rig, instruments, move=move):
+    for line in scan_session.check_rig(rig, instruments, move=move):
         print(line, flush=True)
 
 
@@ -241,7 +241,7 @@ def _run(
 ) -> None:
     """Scan until the plan is done; anything else ends the command with how to go on."""
     from raden_torch.capture.spectrometer.ports import Position
-    from raden_torch.capture.spectrometer.scan import Patience, ScanStoppedError, run_scan
+    from raden_torch.capture.spectrometer.scan import RetryPolicy, ScanStoppedError, run_scan
 
     try:
         with _progress(journal, operator) as on_step:
@@ -251,7 +251,7 @@ def _run(
                 instruments.colorimeter,
                 stands_at=None if stands_at is None else Position(*stands_at),
                 on_step=on_step,
-                patience=Patience(first_wait_s=waiting_s),
+                retry_policy=RetryPolicy(first_wait_s=waiting_s),
             )
     except ScanStoppedError as error:
         _say_resume(journal, str(error))
@@ -303,7 +303,7 @@ def _progress(journal: JournalFile, operator: _Operator) -> Iterator[Callable[[i
         )
 
 
-def _write(contents: Contents, journal: Path, output: Path) -> None:
+def _write(contents: JournalContents, journal: Path, output: Path) -> None:
     from raden_torch.capture.spectrometer.lab_report import make_report, with_report
     from raden_torch.capture.spectrometer.reduction import reduce_readings
 

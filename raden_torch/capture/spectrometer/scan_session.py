@@ -10,7 +10,6 @@ from pathlib import Path
 from raden_torch.capture.spectrometer import duration
 from raden_torch.capture.spectrometer.journal import Header, JournalFile
 from raden_torch.capture.spectrometer.lab_report import now_utc
-from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.ports import (
     Colorimeter,
     ColorReading,
@@ -22,8 +21,9 @@ from raden_torch.capture.spectrometer.ports import (
 )
 from raden_torch.capture.spectrometer.rig import Ask, Rig
 from raden_torch.capture.spectrometer.scan import check_resumable
+from raden_torch.capture.spectrometer.scan_plan import Plan
 from raden_torch.capture.spectrometer.travel import travel_deg
-from raden_torch.capture.spectrometer.white import Triple, White
+from raden_torch.capture.spectrometer.white_reference import Triple, White
 from raden_torch.errors import InputError
 
 _MOST_READINGS = 1000

@@ -41,7 +41,7 @@ def regions(n: int = 2000, seed: int = 0) -> dict[str, Vectors]:
     them is noise, and "L near V, not unit", where scaling to unit length rounds them apart. There
     a backend must be finite and within the table's range, not equal to float64.
     """
-    make = _Maker(n, torch.Generator().manual_seed(seed))
+    make = _MapSampler(n, torch.Generator().manual_seed(seed))
     flip = torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64).view(1, 3, 1, 1)
     normal, light, view = make.direction(), make.direction(), make.direction()
     light, view = _above(normal, light), _above(normal, view)
@@ -111,7 +111,7 @@ def worst_errors(shader: Shader, reference: Shader, n: int = 2000) -> dict[str, 
     return found
 
 
-class _Maker:
+class _MapSampler:
     """Draws `[1, ·, n, 1]` maps in float64."""
 
     def __init__(self, n: int, generator: torch.Generator) -> None:

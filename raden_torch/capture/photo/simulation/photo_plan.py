@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.camera import Camera, View
-from raden_torch.capture.photo.simulation.scene import Ball, Lamp, PrintedBoard, Sheet
+from raden_torch.capture.photo.simulation.mitsuba_scene import Ball, Lamp, PrintedBoard, Sheet
+from raden_torch.capture.photo.simulation.simulated_camera import Camera, View
 
 WHITE, GREY_BALL, CHROME_BALL, SECOND_BALL = "white", "grey_ball", "chrome_ball", "chrome_ball_2"
 FACING = View(np.diag([1.0, -1.0, -1.0]), np.zeros(3))

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import Any, final
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.spectrometer.cells import Reachable, checked_cells, within_reach
 from raden_torch.capture.spectrometer.ports import ColorReading, Position, Target
+from raden_torch.capture.spectrometer.scan_cells import Reachable, checked_cells, within_reach
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
@@ -35,7 +35,7 @@ class Step:
 
 
 @dataclass(frozen=True, slots=True)
-class Taken:
+class TakenReading:
     """One reading that was taken: the step, the answer, and when, in seconds since 1970."""
 
     step: Step
@@ -119,7 +119,7 @@ class Plan(ABC):
     def as_json(self) -> dict[str, Any]:
         """Everything that is needed to make an equal plan again, as plain JSON values."""
 
-    def next_step(self, taken: Sequence[Taken]) -> Step | None:
+    def next_step(self, taken: Sequence[TakenReading]) -> Step | None:
         """The step after these readings; None where all cells are read."""
         cell, turn = divmod(len(taken), self.per_cell)
         if cell >= len(self.cells):

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.brdf.lighting import Lamp, lamps_of_shots
-from raden_torch.capture.photo.brdf.sample import Placed, SampleSpec, place
+from raden_torch.capture.photo.brdf.sample import SampleInPhotograph, SampleSpec, place
+from raden_torch.capture.photo.brdf.sample_shapes import Shape
 from raden_torch.capture.photo.brdf.samples import SeenSurface, see
 from raden_torch.capture.photo.brdf.series import Frame, Shot, read_shot, series
-from raden_torch.capture.photo.brdf.shapes import Shape
 from raden_torch.capture.photo.camera import Camera, Pose, read_camera, read_poses
 from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps, read_lamps
@@ -26,7 +26,7 @@ _OUTLINE_PX = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Setup:
+class CaptureSetup:
     """The files of the earlier steps, and what a person says of the series.
 
     Attributes:
@@ -61,10 +61,10 @@ class Scene:
     sample: SampleSpec
     exponent: float
     size: tuple[int, int]
-    _last: tuple[Pose | None, Placed, SeenSurface] | None = None
+    _last: tuple[Pose | None, SampleInPhotograph, SeenSurface] | None = None
 
     @classmethod
-    def of(cls, photographs: Sequence[Path], setup: Setup, sample: SampleSpec) -> Scene:
+    def of(cls, photographs: Sequence[Path], setup: CaptureSetup, sample: SampleSpec) -> Scene:
         lamps: Lamps = read_lamps(setup.lights)
         camera = None if setup.camera is None else read_camera(setup.camera)
         poses = _poses(setup.camera)
@@ -126,7 +126,7 @@ class Scene:
         across = min(np.ptp(seen.x_px), np.ptp(seen.y_px)) / 2
         return float(np.degrees(_OUTLINE_PX / max(across, 1.0)))
 
-    def _placed(self, k: int) -> tuple[Placed, SeenSurface]:
+    def _placed(self, k: int) -> tuple[SampleInPhotograph, SeenSurface]:
         shot = self.shots[k]
         if self._last is None or (self.moves and self._last[0] is not shot.pose):
             placed = place(
@@ -150,7 +150,7 @@ def _poses(path: Path | None) -> dict[str, Pose]:
     return read_poses(path)[1]
 
 
-def _seen_in(setup: Setup, poses: dict[str, Pose]) -> Pose | None:
+def _seen_in(setup: CaptureSetup, poses: dict[str, Pose]) -> Pose | None:
     if setup.seen_in is None:
         return None
     name = Path(setup.seen_in).name

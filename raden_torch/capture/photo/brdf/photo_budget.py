@@ -25,8 +25,8 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.cell_sums import NodeValues
-from raden_torch.capture.photo.brdf.cells import CellGrid
-from raden_torch.capture.photo.brdf.white import Scale
+from raden_torch.capture.photo.brdf.photo_cells import CellGrid
+from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.measurement.budget_terms import BudgetTerms
 
 _OF_LIGHTNESS = 1 / np.sqrt(3.0)

@@ -206,7 +206,7 @@ def lights(
     from raden_torch.capture.photo.checking_picture import picture_path
     from raden_torch.capture.photo.lamps import write_lamps
     from raden_torch.capture.photo.result_file import check_result_path
-    from raden_torch.plots.found import draw_lamps
+    from raden_torch.plots.capture_figures import draw_lamps
     from raden_torch.plots.sheet import save_plot
 
     check_result_path(output)
@@ -268,7 +268,7 @@ def normals(
     """Solve normals, albedo and confidence from photographs under known lamps."""
     from raden_torch.capture.photo.capture_normals import capture_normals
     from raden_torch.capture.photo.normals_file import paths_in, write_normals
-    from raden_torch.plots.found import draw_normals
+    from raden_torch.plots.capture_figures import draw_normals
     from raden_torch.plots.sheet import save_plot
 
     if output.exists() and not output.is_dir():

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.angles import angles
 from raden_torch.capture.photo.simulation.colours import white_xyz
+from raden_torch.capture.photo.simulation.simulated_angles import angles
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.readings import FACTOR_PER_SR

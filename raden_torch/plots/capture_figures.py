@@ -17,7 +17,7 @@ from raden_torch.capture.photo.highlight import Highlight
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.capture.photo.photo_set import PhotoSet
 from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
-from raden_torch.plots.look import FAINT, INK, SMALL, TEXT, printable
+from raden_torch.plots.plot_style import FAINT, INK, SMALL, TEXT, printable
 
 _BALL, _LAMP, _BAD = "#0072b2", "#d55e00", "#a3271f"
 _DPI = 110

@@ -87,7 +87,7 @@ def recognises_cells(head: bytes) -> bool:
 
 def describe_cells(path: Path) -> str:
     """How many, and their range."""
-    from raden_torch.capture.spectrometer.cells import list_cells
+    from raden_torch.capture.spectrometer.scan_cells import list_cells
 
     cells = list_cells(path)
     ranges = zip(("incidence", "receiving", "tilt"), cells.min(0), cells.max(0), strict=True)

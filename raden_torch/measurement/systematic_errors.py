@@ -34,7 +34,7 @@ KEYS = ("scale_std", "scale_reference", "white_mean_std", "zero_std_deg", "white
 
 
 @dataclass(frozen=True)
-class CommonErrors:
+class SystematicErrors:
     """What is known of the errors that all readings share. Standard uncertainties, k = 1.
 
     Attributes:
@@ -84,7 +84,7 @@ class CommonErrors:
         return tuple((key, text) for key, text in stated.items() if text)
 
     @classmethod
-    def from_entries(cls, entries: Mapping[str, str]) -> CommonErrors:
+    def from_entries(cls, entries: Mapping[str, str]) -> SystematicErrors:
         """What `as_entries` wrote. Raises InputError where it is not numbers, or out of range."""
         white = entries.get("white_deg")
         return cls(

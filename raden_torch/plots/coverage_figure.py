@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.capture_brdf import CapturedBrdf
-from raden_torch.plots.look import INK, SMALL, TEXT, UNMEASURED, families, printable
+from raden_torch.plots.plot_style import INK, SMALL, TEXT, UNMEASURED, families, printable
 
 _COLUMNS = 5
 _MOST_SLABS = 15

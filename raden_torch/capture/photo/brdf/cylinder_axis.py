@@ -15,7 +15,7 @@ from raden_torch.capture.photo.brdf.rays import (
     board_to_scene,
     undistorted,
 )
-from raden_torch.capture.photo.brdf.shapes import Cylinder
+from raden_torch.capture.photo.brdf.sample_shapes import Cylinder
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.errors import InputError
 

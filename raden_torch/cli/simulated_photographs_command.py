@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from raden_torch.cli.capture import capture
+from raden_torch.cli.capture_commands import capture
 from raden_torch.cli.common import progress
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from raden_torch.cli.capture import (
+from raden_torch.cli.capture_commands import (
     Coded,
     CodedOption,
     DarkExposureOption,
@@ -35,7 +35,7 @@ class SampleShape(str, Enum):
     cylinder = "cylinder"
 
 
-class Stand(str, Enum):
+class LampFrame(str, Enum):
     """Beside what the lamps stand still."""
 
     camera = "camera"
@@ -108,8 +108,9 @@ def brdf(
         typer.Option(help="number of each photograph's lamp, from 1; else in their order"),
     ] = None,
     lamps_stand: Annotated[
-        Stand, typer.Option(help="beside the camera, or beside the board while the camera moves")
-    ] = Stand.camera,
+        LampFrame,
+        typer.Option(help="beside the camera, or beside the board while the camera moves"),
+    ] = LampFrame.camera,
     lights_seen_in: Annotated[
         str | None,
         typer.Option(help="photograph in whose frame --lights is; with --lamps-stand board"),
@@ -141,15 +142,15 @@ def brdf(
     picture: Picture = None,
 ) -> None:
     """Measure a BRDF: every lit pixel of a sphere, plane or cylinder is a reading."""
-    from raden_torch.capture.photo.brdf.cells import CellGrid
     from raden_torch.capture.photo.brdf.chart_white import chart_white
-    from raden_torch.capture.photo.brdf.files import output_paths, write_brdf
+    from raden_torch.capture.photo.brdf.photo_brdf_file import output_paths, write_brdf
+    from raden_torch.capture.photo.brdf.photo_cells import CellGrid
     from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
     from raden_torch.capture.photo.brdf.sample import SampleSpec
-    from raden_torch.capture.photo.capture_brdf import Setup, capture_brdf
+    from raden_torch.capture.photo.capture_brdf import CaptureSetup, capture_brdf
     from raden_torch.capture.photo.development import Development
     from raden_torch.measurement import Metadata
-    from raden_torch.plots.coverage import draw_captured
+    from raden_torch.plots.coverage_figure import draw_captured
     from raden_torch.plots.sheet import save_plot
 
     report, shown = output_paths(output, picture)
@@ -157,7 +158,7 @@ def brdf(
     photos = without_other_inputs(photos, *beside)
     inputs = (*photos, *beside, lights, camera, colour, white_file)
     check_outputs(output, report, shown, inputs=inputs)
-    if (lamps_stand is Stand.board) != (lights_seen_in is not None):
+    if (lamps_stand is LampFrame.board) != (lights_seen_in is not None):
         raise InputError("--lamps-stand board and --lights-seen-in go together; give both")
     how = Development(
         coded.value,
@@ -168,7 +169,9 @@ def brdf(
         tuple(dark_exposure or ()),
         flat,
     )
-    setup = Setup(lights, camera, colour, tuple(lamp or ()), stack, lights_seen_in, lamp_std, how)
+    setup = CaptureSetup(
+        lights, camera, colour, tuple(lamp or ()), stack, lights_seen_in, lamp_std, how
+    )
     sample = SampleSpec(
         shape.value, mask, _corners("--region", region), radius, _corners("--axis", axis, 2)
     )

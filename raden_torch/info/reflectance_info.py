@@ -60,7 +60,7 @@ def _uncertainty(m: BrdfMeasurement) -> list[str]:
         values = np.maximum(abs(m.values[m.valid, channel]), 1e-9)
         median = 100 * float(np.median(m.std[m.valid, channel] / values))
         lines.append(f"standard deviation of {m.channels[channel]}: {median:.3g} % (median)")
-    common = m.metadata.common
+    common = m.metadata.systematic
     if common.scale_std:
         of = f", of {common.scale_reference}" if common.scale_reference else ""
         lines.append(f"scale of all values: {100 * common.scale_std:.3g} % (standard{of})")

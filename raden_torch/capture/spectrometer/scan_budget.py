@@ -11,7 +11,7 @@ R = R_w (S − D) / (W − D) · cos θi(w) / cos θi of docs/measuring.md:
 | dark | A | R_w |1 − ratio| s_D √Σ share²/n | cells near in time |
 | drift | A | R · change between two white series / √12 | cells near in time |
 | positioning | B | √Σ_axes ((∂R/∂angle − R tan angle) u(move))² | nothing |
-| zeros | B | √Σ_axes (dR/dzero · u(zero))², see `measurement.common_errors` | all cells |
+| zeros | B | √Σ_axes (dR/dzero · u(zero))², see `measurement.systematic_errors` | all cells |
 | colour | B | |∂R/∂λ| u(λ) with a spectrum, R u(xyz) without | all cells of one colour |
 | scale | B | R u(certificate) | all cells; not in `total` |
 
@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.journal import Header
-from raden_torch.capture.spectrometer.white import White
+from raden_torch.capture.spectrometer.white_reference import White
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.budget_terms import BudgetTerms
-from raden_torch.measurement.common_errors import CommonErrors, zero_sensitivity
 from raden_torch.measurement.error_parts import zero_effects
+from raden_torch.measurement.systematic_errors import SystematicErrors, zero_sensitivity
 from raden_torch.reflectance.slopes import slopes_per_deg
 
 _POOLED = 4.0  # degrees of freedom; see `repeatability`
@@ -61,7 +61,7 @@ class GeometryTerms:
     zeros: Floats
 
 
-def common_errors(header: Header, white_mean_std: float) -> CommonErrors:
+def systematic_errors(header: Header, white_mean_std: float) -> SystematicErrors:
     """What the readings of a scan share, as their measurement states it.
 
     Args:
@@ -70,7 +70,7 @@ def common_errors(header: Header, white_mean_std: float) -> CommonErrors:
     here = header.white.position
     at_cells = bool(header.white.at_cells)
     named = header.white.name != White.name  # a name that tells one white from another
-    return CommonErrors(
+    return SystematicErrors(
         scale_std=header.white.relative_std,
         scale_reference=header.white.name if named and header.white.relative_std else "",
         white_mean_std=white_mean_std,
@@ -86,7 +86,7 @@ def geometry_terms(measurement: BrdfMeasurement, header: Header) -> GeometryTerm
     """
     m = measurement
     # a move to the sample is none to the white: where that stands does not matter
-    upright = None if m.metadata.common.white_deg is None else (0.0, 0.0, 0.0)
+    upright = None if m.metadata.systematic.white_deg is None else (0.0, 0.0, 0.0)
     slopes = slopes_per_deg(m.angles_deg, m.values, m.valid)
     moved = zero_sensitivity(m.values, m.angles_deg, slopes, upright)
     return GeometryTerms(
