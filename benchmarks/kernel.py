@@ -26,7 +26,7 @@ import raden_torch as rt
 from raden_torch.bench import naive
 from raden_torch.brdf.model import simd
 from raden_torch.brdf.model.model import CosineDiffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 
 FRAME = (1080, 1920)
 SIZES = [(64, 64), (256, 256), (512, 512), (1080, 1920), (2160, 3840), (4320, 7680)]

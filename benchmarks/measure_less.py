@@ -19,8 +19,8 @@ import numpy as np
 import raden_torch as rt
 from raden_torch.brdf.fitting.score import score
 from raden_torch.capture.spectrometer.adaptive import make_adaptive_plan
-from raden_torch.capture.spectrometer.cells import grid, random_cells
 from raden_torch.capture.spectrometer.rehearsal import rehearse
+from raden_torch.capture.spectrometer.scan_cells import grid, random_cells
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 

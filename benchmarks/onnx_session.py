@@ -26,7 +26,7 @@ import torch
 import raden_torch as rt
 from raden_torch.export.constants import fix_parameters
 from raden_torch.export.runtimes import Arrays, Runtime, load_others, onnx_session
-from raden_torch.export.session import ShaderSession
+from raden_torch.export.shader_session import ShaderSession
 
 RUNS, WARM_UP, SIZE, SHARE = 9, 2, 1024, 0.1
 INSTALLED = Path(__file__).resolve().parents[1] / "runtimes"

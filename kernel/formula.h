@@ -1,4 +1,4 @@
-// The model's formulas for one vector of pixels. The reference is geometry.py, diffuse.py, table.py.
+// The model's formulas for one vector of pixels. The reference is geometry.py, diffuse.py, reflectance_table.py.
 #pragma once
 #include <cfloat>
 

@@ -4,7 +4,7 @@
 //   da = dN·e/h − dL·l⊥ − (dL·p) tan t cos r/s + (dV·p) tan t cos a/s,  e = cos a l⊥ − sin a L
 //   dr = dV·v⊥ − dN·e/h + (dL·p) tan t cos r/s − (dV·p) tan t cos a/s
 //   dt = dN·p/h − (dL·p) sin r/s − (dV·p) sin a/s,  h = cos t
-// The reference is what torch's autograd makes of geometry.py, diffuse.py and table.py.
+// The reference is what torch's autograd makes of geometry.py, diffuse.py and reflectance_table.py.
 #pragma once
 #include <initializer_list>
 

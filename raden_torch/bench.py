@@ -30,8 +30,8 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import DirectionalLight
 from raden_torch.brdf.shading.shade import shade
-from raden_torch.brdf.shading.shapes import sphere
-from raden_torch.brdf.shading.stress import worst_errors
+from raden_torch.brdf.shading.sphere_gbuffer import sphere
+from raden_torch.brdf.shading.stress_geometries import worst_errors
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
@@ -325,7 +325,7 @@ def _ratios(
 def _reference_naive() -> Shader:
     """The naive form of a plain table of the paper's size, for schemes that have none."""
     from raden_torch.brdf.model.model import CosineDiffuse
-    from raden_torch.brdf.model.table import ReflectanceTable
+    from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 
     table = ReflectanceTable(torch.ones(15, 29, 29, 3), (0.0, -70.0, -70.0), (5.0, 5.0, 5.0))
     model = RadenBrdf(CosineDiffuse(torch.ones(3), torch.ones(3)), table)

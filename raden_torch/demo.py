@@ -60,7 +60,7 @@ def run_demo(out: Path, *, size: int = 512) -> Path:
         The path of `index.html`.
     """
     if out.exists() and not out.is_dir():
-        raise InputError(f"{out}: is a file; name a folder for the gallery")
+        raise InputError(f"{out}: expected a folder for the gallery, got a file")
     out.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     columns = (TextColumn("{task.description}"), TimeElapsedColumn())

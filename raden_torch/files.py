@@ -20,10 +20,12 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
     """
     target = Path(path)
     if target.is_dir():
-        raise InputError(f"{target}: is a folder; name the file to write")
+        raise InputError(f"{target}: expected a file name, got a folder")
     real = _behind_links(target)
     if not real.parent.is_dir():
-        raise InputError(f"{target}: the folder {real.parent} does not exist; create it first")
+        raise InputError(
+            f"{target}: expected an existing folder, got {real.parent}; create it first"
+        )
     if real.exists() and not real.is_file():
         raise InputError(f"{target}: expected a file to write, got a device or a pipe")
     for place in (real.parent, real):

@@ -99,10 +99,10 @@ def vectors_from_angles(
     """
     a, r, t = torch.broadcast_tensors(incidence, receiving, tilt)
     if not a.is_floating_point():
-        raise InputError(f"vectors_from_angles: dtype {a.dtype}; a floating-point one was wanted")
+        raise InputError(f"vectors_from_angles: expected a floating-point dtype, got {a.dtype}")
     if a.ndim < 3 or a.shape[XYZ_DIM] != 1:
         raise InputError(
-            f"vectors_from_angles: angles of shape {list(a.shape)}; [..., 1, H, W] was wanted"
+            f"vectors_from_angles: expected angles of shape [..., 1, H, W], got {list(a.shape)}"
         )
     zero, one = torch.zeros_like(a), torch.ones_like(a)
     normal = torch.cat([zero, zero, one], XYZ_DIM)
@@ -122,23 +122,23 @@ def check_vector_maps(**maps: Tensor) -> None:
         if not isinstance(m, Tensor) or not m.is_floating_point():
             kind = m.dtype if isinstance(m, Tensor) else type(m).__name__
             raise InputError(
-                f"{name}: {kind}; a floating-point tensor [B, 3, H, W] was wanted"
-                f"{how_to_convert(m)}"
+                f"{name}: expected a floating-point tensor [B, 3, H, W], got "
+                f"{kind}{how_to_convert(m)}"
             )
         if m.ndim < 3 or m.shape[XYZ_DIM] != 3:
             raise InputError(
-                f"{name}: shape {list(m.shape)}; [B, 3, H, W] was wanted{how_to_convert(m)}"
+                f"{name}: expected shape [B, 3, H, W], got {list(m.shape)}{how_to_convert(m)}"
             )
     if len({m.device for m in maps.values()}) > 1:
         where = ", ".join(f"{name} on {m.device}" for name, m in maps.items())
-        raise InputError(f"{where}: one device was wanted")
+        raise InputError(f"maps: expected one device, got {where}")
     try:
         # not broadcast_shapes, which imports sympy when it is first called: half a second
         torch.broadcast_tensors(*maps.values())
     except RuntimeError:
         shapes = ", ".join(f"{name} {list(m.shape)}" for name, m in maps.items())
         raise InputError(
-            f"{shapes}: these do not broadcast; equal sizes or 1 were wanted"
+            f"maps: expected equal sizes or 1, which broadcast, got {shapes}"
         ) from None
 
 

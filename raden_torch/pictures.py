@@ -31,7 +31,7 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.shading.relight import lamp_ring, relight, relit_under, tiled
 from raden_torch.brdf.shading.shade import shade, warn_if_black
-from raden_torch.brdf.shading.shapes import average_samples, sphere
+from raden_torch.brdf.shading.sphere_gbuffer import average_samples, sphere
 from raden_torch.errors import InputError
 from raden_torch.files import check_outputs
 
@@ -74,7 +74,7 @@ def render_shape(
         shape: a key of `SHAPES`, which also has the lights and the camera where none are given.
     """
     if shape not in SHAPES:
-        raise InputError(f"shape {shape}: {' or '.join(SHAPES)} was wanted")
+        raise InputError(f"shape: expected {' or '.join(SHAPES)}, got {shape}")
     view = SHAPES[shape]
     lights, camera = lights or view.lights, camera or view.camera
     with torch.no_grad():

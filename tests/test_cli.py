@@ -198,7 +198,7 @@ def test_export_and_verify(shell: Path) -> None:
     wrong = raden("export", shell / "shell.safetensors", "-o", shell / "x.onnx", "--opset", 9)
     assert (wrong.returncode, wrong.stderr.splitlines()) == (
         2,
-        ["raden: opset 9: 18 to 21 was wanted"],
+        ["raden: opset: expected 18 to 21, got 9"],
     )
 
 

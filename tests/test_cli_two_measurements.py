@@ -13,7 +13,7 @@ import pytest
 
 import raden_torch as rt
 from raden_torch.measurement import native_csv
-from raden_torch.measurement.common_errors import CommonErrors
+from raden_torch.measurement.systematic_errors import SystematicErrors
 
 
 def raden(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -29,8 +29,8 @@ def with_noise(source: Path, target: Path, seed: int, scale_std: float = 0.0) ->
     m = rt.load_measurement(source)
     std = 0.01 * np.maximum(m.values, 0.1)
     noise = std * np.random.default_rng(seed).standard_normal(std.shape)
-    common = CommonErrors(scale_std=scale_std)
-    meta = replace(m.metadata, common=common)
+    common = SystematicErrors(scale_std=scale_std)
+    meta = replace(m.metadata, systematic=common)
     replace(m, values=m.values + noise, std=std, metadata=meta).save(target)
     return target
 
@@ -74,7 +74,7 @@ def test_real_paint_agrees_with_itself_and_not_with_spectralon(
     truth = rt.load_measurement(folder / "pearl-paint.csv")
     z = (found.values - truth.values) / found.std
     assert np.mean(z**2) == pytest.approx(1, abs=0.2)
-    assert found.metadata.common.scale_std == pytest.approx(0.01 / np.sqrt(2), rel=1e-3)
+    assert found.metadata.systematic.scale_std == pytest.approx(0.01 / np.sqrt(2), rel=1e-3)
 
 
 def test_what_is_wrong_is_said_in_one_line(tmp_path: Path) -> None:

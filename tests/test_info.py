@@ -25,11 +25,11 @@ from raden_torch.capture.photo.board import Board, BoardView
 from raden_torch.capture.photo.camera import Calibration, Camera, Pose, write_camera
 from raden_torch.capture.photo.lamps import Lamps, write_lamps
 from raden_torch.capture.photo.result_file import write_result
-from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import FINISHED, Header, JournalFile, Session
-from raden_torch.capture.spectrometer.plan import Taken, make_plan
 from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range
-from raden_torch.capture.spectrometer.white import White
+from raden_torch.capture.spectrometer.scan_cells import grid
+from raden_torch.capture.spectrometer.scan_plan import TakenReading, make_plan
+from raden_torch.capture.spectrometer.white_reference import White
 from raden_torch.cli.common import app
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
@@ -202,14 +202,14 @@ def journal(path: Path, *, finished: bool = False) -> None:
         sample="yakogai",
         started="2026-01-02 03:04:05 UTC",
     )
-    taken: list[Taken] = []
+    taken: list[TakenReading] = []
     with JournalFile.create(path, header) as kept:
         kept.append(Session("started", "", 1.7e9))
         for i in range(plan.steps if finished else 7):
             step = plan.next_step(taken)
             assert step is not None
             reading = ColorReading(np.array([0.1, 0.2, 0.3]), Range.OK, 0.5)
-            taken.append(Taken(step, reading, 1.7e9 + i))
+            taken.append(TakenReading(step, reading, 1.7e9 + i))
             kept.append(taken[-1])
         if finished:
             kept.append(Session(FINISHED, "", 1.7e9 + 3600))
@@ -452,7 +452,10 @@ def test_what_is_not_there(tmp_path: Path) -> None:
         (("plot", "measurement", "model", "-o", "x.png"), "expected a measurement, got a model"),
         (("info", "measurement", "gbuffer"), "expected a measurement or a model, got an OpenEXR"),
         (("info", "model", "measurement"), "expected a measurement, got a model"),
-        (("info", "measurement", "--against", "measurement"), "--against scores a model"),
+        (
+            ("info", "measurement", "--against", "measurement"),
+            "--against: expected a model to score, got a measurement",
+        ),
         (("info", "measurement", "model", "--against", "model"), "give one"),
     ],
 )

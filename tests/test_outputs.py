@@ -200,11 +200,11 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.csv")
     (tmp_path / "null.csv").symlink_to("/dev/null")
     for path, wanted in (
-        (lost, "nowhere does not exist"),
+        (lost, "expected an existing folder, got "),
         (loop, "a link that leads back to itself"),
         (tmp_path / "pipe.csv", "expected a file to write, got a device or a pipe"),
         (tmp_path / "null.csv", "expected a file to write, got a device or a pipe"),
-        (tmp_path, "is a folder"),
+        (tmp_path, "expected a file name, got a folder"),
     ):
         with pytest.raises(InputError, match=wanted), written_beside(path):
             pytest.fail("nothing is written")

@@ -349,13 +349,31 @@ def test_vector_files(shell: BrdfMeasurement, tmp_path: Path, suffix: str, start
 
 BAD: dict[str, tuple[Callable[[BrdfMeasurement], Any], str]] = {
     "suffix": (lambda m: save_plot(Figure(), "plot.bmp"), ".png, .svg, .pdf"),
-    "folder": (lambda m: save_plot(Figure(), "none/plot.png"), "does not exist"),
-    "figure": (lambda m: draw(m, ("5", "10")), "'10' is not known; 5, 6, 7, 8, 9, path are"),
-    "no figure": (lambda m: draw(m, ()), "no figure"),
-    "incidence": (lambda m: draw(m, incidence_deg=-1), "incidence_deg = -1"),
-    "tilt": (lambda m: draw(m, surface_tilt_deg=91), "surface_tilt_deg = 91"),
-    "not a number": (lambda m: draw(m, receiving_deg=float("nan")), "receiving_deg = nan"),
-    "no reading": (lambda m: draw(replace(m, valid=m.valid & False)), "no valid reading"),
+    "folder": (lambda m: save_plot(Figure(), "none/plot.png"), "expected an existing folder"),
+    "figure": (
+        lambda m: draw(m, ("5", "10")),
+        "figure: expected one of 5, 6, 7, 8, 9, path, got '10'",
+    ),
+    "figures: expected some of 5, 6, 7, 8, 9, path, got none": (
+        lambda m: draw(m, ()),
+        "figures: expected some of 5, 6, 7, 8, 9, path, got none",
+    ),
+    "incidence": (
+        lambda m: draw(m, incidence_deg=-1),
+        "incidence_deg: expected 0…90 degrees, got -1",
+    ),
+    "tilt": (
+        lambda m: draw(m, surface_tilt_deg=91),
+        "surface_tilt_deg: expected -90…90 degrees, got 91",
+    ),
+    "not a number": (
+        lambda m: draw(m, receiving_deg=float("nan")),
+        "receiving_deg: expected -90…90 degrees, got nan",
+    ),
+    "no reading": (
+        lambda m: draw(replace(m, valid=m.valid & False)),
+        "expected a measurement with a valid reading, got none",
+    ),
 }
 
 

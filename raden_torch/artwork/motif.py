@@ -17,7 +17,7 @@ Distance = Callable[[Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
-class Piece:
+class ShellPiece:
     """One piece of shell: its signed distance (positive inside), and a circle that holds it."""
 
     distance: Distance
@@ -65,7 +65,7 @@ def _extent(near: Tensor) -> slice:
     return slice(int(found[0]), int(found[-1]) + 1) if len(found) else slice(0, 0)
 
 
-def pieces() -> Iterator[Piece]:
+def pieces() -> Iterator[ShellPiece]:
     """All pieces of the motif."""
     yield from _chrysanthemum(-0.18, 0.12, 0.46, petals=16)
     yield from _chrysanthemum(0.48, -0.38, 0.25, petals=14)
@@ -82,7 +82,7 @@ def pieces() -> Iterator[Piece]:
     yield from _border()
 
 
-def _chrysanthemum(cx: float, cy: float, radius: float, petals: int) -> Iterator[Piece]:
+def _chrysanthemum(cx: float, cy: float, radius: float, petals: int) -> Iterator[ShellPiece]:
     for ring, (inner, outer, turn) in enumerate(((0.56, 1.0, 0.0), (0.22, 0.54, 0.5))):
         count = petals if ring == 0 else petals * 3 // 4
         middle, half = (outer + inner) / 2 * radius, (outer - inner) / 2 * radius
@@ -94,13 +94,13 @@ def _chrysanthemum(cx: float, cy: float, radius: float, petals: int) -> Iterator
     yield _ellipse(cx, cy, 0.17 * radius, 0.17 * radius, 0.0)
 
 
-def _leaf(cx: float, cy: float, length: float, angle: float) -> Iterator[Piece]:
+def _leaf(cx: float, cy: float, length: float, angle: float) -> Iterator[ShellPiece]:
     """Two halves, parted at the midrib."""
     for side in (-1.0, 1.0):
         yield _half_lens(cx, cy, length, angle, side)
 
 
-def _border(count: int = 22, at: float = 0.90, width: float = 0.018) -> Iterator[Piece]:
+def _border(count: int = 22, at: float = 0.90, width: float = 0.018) -> Iterator[ShellPiece]:
     """Slips of shell along the four sides."""
     pitch = 2 * at / count
     for k in range(count):
@@ -110,15 +110,15 @@ def _border(count: int = 22, at: float = 0.90, width: float = 0.018) -> Iterator
             yield _box(x, y, wide, high)
 
 
-def _ellipse(cx: float, cy: float, a: float, b: float, angle: float) -> Piece:
+def _ellipse(cx: float, cy: float, a: float, b: float, angle: float) -> ShellPiece:
     def distance(x: Tensor, y: Tensor) -> Tensor:
         u, v = _turned(x - cx, y - cy, angle)
         return (1 - torch.sqrt((u / a) ** 2 + (v / b) ** 2)) * min(a, b)
 
-    return Piece(distance, cx, cy, max(a, b))
+    return ShellPiece(distance, cx, cy, max(a, b))
 
 
-def _half_lens(cx: float, cy: float, length: float, angle: float, side: float) -> Piece:
+def _half_lens(cx: float, cy: float, length: float, angle: float, side: float) -> ShellPiece:
     bulge, gap = 0.34 * length, 0.008
 
     def distance(x: Tensor, y: Tensor) -> Tensor:
@@ -126,11 +126,11 @@ def _half_lens(cx: float, cy: float, length: float, angle: float, side: float) -
         edge = bulge * (1 - (u / (length / 2)) ** 2) / 1.6
         return torch.minimum(edge - side * v, side * v - gap)
 
-    return Piece(distance, cx, cy, length)
+    return ShellPiece(distance, cx, cy, length)
 
 
-def _box(cx: float, cy: float, a: float, b: float) -> Piece:
-    return Piece(
+def _box(cx: float, cy: float, a: float, b: float) -> ShellPiece:
+    return ShellPiece(
         lambda x, y: torch.minimum(a - (x - cx).abs(), b - (y - cy).abs()), cx, cy, math.hypot(a, b)
     )
 

@@ -14,7 +14,7 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.brdf.shading.shade import shade
-from raden_torch.brdf.shading.shapes import camera_rays, check_rays
+from raden_torch.brdf.shading.sphere_gbuffer import camera_rays, check_rays
 from raden_torch.errors import InputError
 
 _DOME, _ROLL, _ROLL_WIDTH, _CORNER = 0.06, 0.025, 0.10, 0.12
@@ -47,7 +47,7 @@ def plate(
     check_rays("plate", size, samples)
     eye = torch.tensor(camera, dtype=torch.float64)
     if not float(eye[2]) > 0.5:
-        raise InputError(f"plate: camera {camera} is not above the plate; z > 0.5 was wanted")
+        raise InputError(f"plate: camera: expected z > 0.5, above the plate, got {camera}")
     half_width = 1.08 * margin / float(eye.norm())
     rays = camera_rays(eye, size * samples, half_width)
     x, y, z = _on_dome(eye, rays)

@@ -9,12 +9,12 @@ import warnings
 
 try:
     from raden_torch.cli import (  # noqa: F401 - importing them adds their subcommands
-        capture,
-        capture_brdf,
-        model,
-        picture,
-        scan,
-        simulated_photographs,
+        capture_brdf_command,
+        capture_commands,
+        model_commands,
+        picture_commands,
+        scan_command,
+        simulated_photographs_command,
     )
     from raden_torch.cli.common import app
 except KeyboardInterrupt:  # while the command starts

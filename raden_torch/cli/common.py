@@ -92,7 +92,7 @@ def light_of(text: str) -> Light:
 
     kind, colon, numbers = text.rpartition(":")
     if colon and kind != "point":
-        raise InputError(f"--light {text}: x,y,z or point:x,y,z was wanted")
+        raise InputError(f"--light: expected x,y,z or point:x,y,z, got {text}")
     position = triple("--light", numbers)
     return PointLight(position) if kind else DirectionalLight(position)
 
@@ -101,14 +101,14 @@ def triple(option: str, text: str) -> tuple[float, float, float]:
     try:
         x, y, z = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(f"{option} {text}: three numbers as 1,1,2 were wanted") from None
+        raise InputError(f"{option}: expected three numbers as 1,1,2, got {text}") from None
     return x, y, z
 
 
 def pair(option: str, text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not (name and equals and value):
-        raise InputError(f"{option} {text}: name=value, as normal=N, was wanted")
+        raise InputError(f"{option}: expected name=value, as normal=N, got {text}")
     return name, value
 
 
@@ -118,7 +118,7 @@ def stops_of(text: str) -> float | None:
     try:
         return float(text)
     except ValueError:
-        raise InputError(f"--exposure {text}: a number of stops, or auto, was wanted") from None
+        raise InputError(f"--exposure: expected a number of stops, or auto, got {text}") from None
 
 
 def bytes_of(text: str) -> int:
@@ -126,6 +126,6 @@ def bytes_of(text: str) -> int:
     units = {"": 0, "K": 1, "M": 2, "G": 3, "T": 4}
     found = re.fullmatch(r"(\d+(?:\.\d+)?)([KMGT]?)i?B?", text.strip(), re.IGNORECASE)
     if found is None:
-        raise InputError(f"--memory {text}: a size as 2G or 512M was wanted")
+        raise InputError(f"--memory: expected a size as 2G or 512M, got {text}")
     number, unit = found.groups()
     return int(float(number) * 1024 ** units[unit.upper()])

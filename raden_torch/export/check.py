@@ -11,8 +11,8 @@ from torch import Tensor
 
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.export.expected import REGIONS, Expected, expected
-from raden_torch.export.runtimes import Runtime, Skipped, one_line
-from raden_torch.export.stress import cases
+from raden_torch.export.runtimes import Runtime, SkippedRuntime, one_line
+from raden_torch.export.stress_inputs import cases
 
 LIMITS = {
     "general": 5e-6,
@@ -111,9 +111,9 @@ class StressSet:
         largest = [float(e.values.abs().max()) for e in self.expected if e.values.numel()]
         self.peak = max([*largest, torch.finfo(torch.float32).tiny])
 
-    def run(self, runtime: Runtime | Skipped) -> RuntimeResult:
+    def run(self, runtime: Runtime | SkippedRuntime) -> RuntimeResult:
         """Compare one runtime with torch."""
-        if isinstance(runtime, Skipped):
+        if isinstance(runtime, SkippedRuntime):
             return RuntimeResult(runtime.name, reason=runtime.reason)
         regions = {name: RegionResult() for name in REGIONS}
         left_out: list[str] = []
@@ -166,7 +166,6 @@ def _result(
 def _failure(result: RuntimeResult) -> str:
     worst = max(result.regions, key=lambda name: result.regions[name].largest - LIMITS[name])
     return (
-        f"{result.name} {result.version} gives another picture: off by "
-        f"{result.regions[worst].largest:.1e} of the peak ({worst}); "
-        f"at most {LIMITS[worst]:.0e} was wanted"
+        f"{result.name} {result.version}: expected an image within {LIMITS[worst]:.0e} of the "
+        f"peak, got one off by {result.regions[worst].largest:.1e} ({worst})"
     )

@@ -61,7 +61,7 @@ def export_onnx(
     check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
     check_profile(profile, output)
     if opset not in OPSETS:
-        raise InputError(f"opset {opset}: {OPSETS[0]} to {OPSETS[-1]} was wanted")
+        raise InputError(f"opset: expected {OPSETS[0]} to {OPSETS[-1]}, got {opset}")
     target = check_output(path, (".onnx",))
     own = _float32(model)
     require("exported shaders", "export")
@@ -103,7 +103,9 @@ def verify_onnx(
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; an exported .onnx file was wanted") from None
+        raise InputError(
+            f"{path}: expected an exported .onnx file, got an error: {error.strerror}"
+        ) from None
     try:
         report = _verified(data, node_modules, pythons)
     except InputError as error:
@@ -143,12 +145,13 @@ def _verified(data: bytes, node_modules: Path | None, pythons: Sequence[Path]) -
     graph = onnx_file.read_graph(data)
     texts = onnx_file.metadata(graph)
     if texts.get("format") != onnx_file.FORMAT:
-        raise InputError("not a shader of raden_torch; `raden export` writes one")
+        raise InputError(
+            "expected a shader of raden_torch (`raden export` writes one), got another model"
+        )
     version = texts.get("format_version", "")
     if version != str(onnx_file.FORMAT_VERSION):
         raise InputError(
-            f"shader format {version!r}; this raden_torch reads {onnx_file.FORMAT_VERSION}; "
-            "export it again"
+            f"shader format: expected {onnx_file.FORMAT_VERSION}, got {version!r}; export it again"
         )
     profile, output = texts.get("profile", ""), texts.get("output", "")
     model = onnx_file.model_of(graph)
@@ -173,9 +176,12 @@ def _float32(model: RadenBrdf) -> RadenBrdf:
     """A float32 copy of a model that can be exported."""
     for name, tensor in model.state_dict().items():
         if tensor.device.type != "cpu":
-            raise InputError(f"{name}: on {tensor.device}; move the model first: model.cpu()")
+            raise InputError(
+                f"{name}: expected device cpu, got {tensor.device}; move the model first: "
+                "model.cpu()"
+            )
         if tensor.is_floating_point() and tensor.dtype not in (torch.float32, torch.float64):
-            raise InputError(f"{name}: {tensor.dtype}; float32 was wanted: model.float()")
+            raise InputError(f"{name}: expected float32, got {tensor.dtype}: call model.float()")
         if not torch.isfinite(tensor).all():
-            raise InputError(f"{name}: holds values that are not finite; finite ones were wanted")
+            raise InputError(f"{name}: expected finite values, got some that are not")
     return copy.deepcopy(model).float().requires_grad_(False).eval()

@@ -15,7 +15,7 @@ import raden_torch
 from raden_torch.brdf.files.model_file import COLOUR, QUANTITY, assemble, describe
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
-from raden_torch.export.profiles import GAINS, Port, output_doc, ports
+from raden_torch.export.profiles import GAINS, GraphInput, output_doc, ports
 from raden_torch.export.runtimes import one_line
 from raden_torch.export.trace import PUBLIC
 from raden_torch.packages import require
@@ -119,7 +119,9 @@ def model_of(graph: onnx.ModelProto) -> RadenBrdf:
         raise InputError(f"the model inside is damaged: {_first_line(error)}") from None
 
 
-def _metadata(model: RadenBrdf, inputs: list[Port], profile: str, output: str) -> dict[str, str]:
+def _metadata(
+    model: RadenBrdf, inputs: list[GraphInput], profile: str, output: str
+) -> dict[str, str]:
     """All texts but the report of the check, which comes last."""
     about = model.provenance
     names = {p.name: p.parameter for p in inputs if p.parameter is not None}

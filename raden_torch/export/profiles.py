@@ -29,7 +29,7 @@ _PARAMETERS = {
 
 
 @dataclass(frozen=True)
-class Port:
+class GraphInput:
     """One input of the graph.
 
     Attributes:
@@ -60,14 +60,16 @@ class Port:
 def check_profile(profile: str, output: str) -> None:
     """Raise InputError unless there is such a profile with such an output."""
     if profile not in PROFILES:
-        raise InputError(f"profile {profile!r}: one of {', '.join(PROFILES)} was wanted")
+        raise InputError(f"profile: expected one of {', '.join(PROFILES)}, got {profile!r}")
     if output not in OUTPUTS:
-        raise InputError(f"output {output!r}: one of {', '.join(OUTPUTS)} was wanted")
+        raise InputError(f"output: expected one of {', '.join(OUTPUTS)}, got {output!r}")
     if (profile, output) == ("scene", "brdf"):
-        raise InputError("output 'brdf': the scene profile gives radiance only; use gbuffer")
+        raise InputError(
+            "output: expected radiance from the scene profile, got 'brdf'; use the gbuffer profile"
+        )
 
 
-def ports(model: RadenBrdf, profile: str, output: str) -> list[Port]:
+def ports(model: RadenBrdf, profile: str, output: str) -> list[GraphInput]:
     """The inputs in their order: required ones first, then those with a default."""
     check_profile(profile, output)
     if profile == "scene":
@@ -90,21 +92,21 @@ def port_name(parameter: str) -> str:
     return _PARAMETERS.get(parameter, (parameter.replace(".", "_"), ""))[0]
 
 
-def _map(name: str, doc: str, channels: int = 3, default: Tensor | None = None) -> Port:
+def _map(name: str, doc: str, channels: int = 3, default: Tensor | None = None) -> GraphInput:
     """A map that may be given once for all images, or once for all pixels."""
     shape = (f"batch_of_{name}", channels, f"height_of_{name}", f"width_of_{name}")
-    return Port(name, shape, f"{doc}; a size may be 1, which then holds for all", default)
+    return GraphInput(name, shape, f"{doc}; a size may be 1, which then holds for all", default)
 
 
-def _gbuffer_ports() -> list[Port]:
+def _gbuffer_ports() -> list[GraphInput]:
     return [
-        Port("normal", ("batch", 3, "height", "width"), _NORMAL),
+        GraphInput("normal", ("batch", 3, "height", "width"), _NORMAL),
         _map("light", "direction from the surface to the light; of any length"),
         _map("view", "direction from the surface to the viewer; of any length"),
     ]
 
 
-def _scene_ports() -> list[Port]:
+def _scene_ports() -> list[GraphInput]:
     size = ("batch", 3, "height", "width")
     light = (
         "x, y, z, w of each light; w = 0: (x, y, z) is the direction to a light at infinity; "
@@ -115,19 +117,21 @@ def _scene_ports() -> list[Port]:
         "perfect white diffuser to radiance 1); w = 1: intensity, divided by the distance squared"
     )
     return [
-        Port("normal", size, _NORMAL),
-        Port("position", size, "surface point, in the frame of the normals"),
-        Port("camera", ("batch_of_camera", 3), "position of the viewer; the first size may be 1"),
-        Port("light", ("lights", 4), light),
-        Port("light_colour", ("lights", 3), colour),
+        GraphInput("normal", size, _NORMAL),
+        GraphInput("position", size, "surface point, in the frame of the normals"),
+        GraphInput(
+            "camera", ("batch_of_camera", 3), "position of the viewer; the first size may be 1"
+        ),
+        GraphInput("light", ("lights", 4), light),
+        GraphInput("light_colour", ("lights", 3), colour),
     ]
 
 
-def _mask_port() -> Port:
+def _mask_port() -> GraphInput:
     return _map("mask", _MASK, 1, torch.ones(1, 1, 1, 1))
 
 
-def _irradiance_port() -> Port:
+def _irradiance_port() -> GraphInput:
     doc = (
         "linear RGB irradiance on a plane that faces the light; pi lights a perfect white diffuser "
         "to radiance 1"
@@ -135,11 +139,11 @@ def _irradiance_port() -> Port:
     return _map("irradiance", doc, 3, torch.full((1, 3, 1, 1), torch.pi))
 
 
-def _exposure_port() -> Port:
-    return Port("exposure", (), _EXPOSURE, torch.ones(()))
+def _exposure_port() -> GraphInput:
+    return GraphInput("exposure", (), _EXPOSURE, torch.ones(()))
 
 
-def _parameter_ports(model: RadenBrdf) -> list[Port]:
+def _parameter_ports(model: RadenBrdf) -> list[GraphInput]:
     """Every tensor of the model, so that one file serves many shells, and its gains."""
     values = {name: value.detach() for name, value in model.state_dict().items()}
     for gain, part in zip(GAINS, (model.diffuse, model.table), strict=True):
@@ -149,5 +153,5 @@ def _parameter_ports(model: RadenBrdf) -> list[Port]:
     for name, value in values.items():
         doc = _PARAMETERS.get(name, ("", f"{name} of the model"))[1]
         default = value.float() if value.is_floating_point() else value
-        found.append(Port(port_name(name), tuple(value.shape), doc, default, name))
+        found.append(GraphInput(port_name(name), tuple(value.shape), doc, default, name))
     return found

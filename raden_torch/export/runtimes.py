@@ -43,7 +43,7 @@ class Runtime:
 
 
 @dataclass(frozen=True)
-class Skipped:
+class SkippedRuntime:
     """A runtime that was not used, and why."""
 
     name: str
@@ -82,7 +82,7 @@ def load_onnxruntime(data: bytes) -> Runtime:
 
 def load_others(
     data: bytes, *, node_modules: Path | None = None, pythons: Sequence[Path] = ()
-) -> Iterator[Runtime | Skipped]:
+) -> Iterator[Runtime | SkippedRuntime]:
     """Every other runtime that we know how to call; each is closed when the next is asked for.
 
     Args:
@@ -97,7 +97,7 @@ def load_others(
     yield from _in_javascript(data, node_modules)
 
 
-def _in_this_process(data: bytes) -> Iterator[Runtime | Skipped]:
+def _in_this_process(data: bytes) -> Iterator[Runtime | SkippedRuntime]:
     for name, module, load in (
         ("OpenVINO", "openvino", _openvino),
         ("OpenCV dnn", "cv2", _opencv),
@@ -105,18 +105,18 @@ def _in_this_process(data: bytes) -> Iterator[Runtime | Skipped]:
         try:
             found = importlib.import_module(module)
         except ImportError:
-            yield Skipped(name, "not installed")
+            yield SkippedRuntime(name, "not installed")
             continue
         try:
             with _quiet_stderr():
                 runtime = load(found, data)
         except Exception as error:  # whatever a foreign runtime raises is its reason
-            yield Skipped(name, f"cannot load it: {one_line(error)}")
+            yield SkippedRuntime(name, f"cannot load it: {one_line(error)}")
             continue
         yield runtime
 
 
-def _in_javascript(data: bytes, node_modules: Path | None) -> Iterator[Runtime | Skipped]:
+def _in_javascript(data: bytes, node_modules: Path | None) -> Iterator[Runtime | SkippedRuntime]:
     # onnxruntime-web refuses values for optional inputs; onnxruntime-node ignores them
     names, node = ("onnxruntime-node", "onnxruntime-web"), shutil.which("node")
     browser = shutil.which("chromium") or shutil.which("google-chrome")
@@ -127,11 +127,11 @@ def _in_javascript(data: bytes, node_modules: Path | None) -> Iterator[Runtime |
             if node_modules is None or not (node_modules / package).is_dir()
         ]
         if node is None:
-            yield Skipped(name, "Node.js is not installed")
+            yield SkippedRuntime(name, "Node.js is not installed")
         elif missing:
-            yield Skipped(name, f"not installed; npm install {' '.join(missing)}")
+            yield SkippedRuntime(name, f"not installed; npm install {' '.join(missing)}")
         elif packages and browser is None:
-            yield Skipped(name, "Chromium is not installed")
+            yield SkippedRuntime(name, "Chromium is not installed")
         elif not packages:
             command = [node, str(PROGRAMS / "node.cjs"), str(node_modules)]
             yield from _worker(name, command, data)
@@ -142,11 +142,11 @@ def _in_javascript(data: bytes, node_modules: Path | None) -> Iterator[Runtime |
 
 def _worker(
     name: str, command: list[str], data: bytes, takes_all: bool = False
-) -> Iterator[Runtime | Skipped]:
+) -> Iterator[Runtime | SkippedRuntime]:
     try:
         worker = Worker(command, data)
     except WorkerError as error:
-        yield Skipped(name, f"cannot load it: {one_line(error)}")
+        yield SkippedRuntime(name, f"cannot load it: {one_line(error)}")
         return
     version = f"{worker.version} ({worker.note})" if worker.note else worker.version
     try:

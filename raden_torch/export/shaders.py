@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.export.planes import PlanarBrdf, unit, xyz
-from raden_torch.export.profiles import GAINS, Port
+from raden_torch.export.component_form import PlanarBrdf, unit, xyz
+from raden_torch.export.profiles import GAINS, GraphInput
 
 
 class Shader(nn.Module):
@@ -18,7 +18,9 @@ class Shader(nn.Module):
     The model's parameters arrive as inputs too, so that the exporter folds none of them away.
     """
 
-    def __init__(self, model: RadenBrdf, profile: str, output: str, ports: list[Port]) -> None:
+    def __init__(
+        self, model: RadenBrdf, profile: str, output: str, ports: list[GraphInput]
+    ) -> None:
         super().__init__()
         self.ports = ports
         own = _with_gains_as_tensors(model)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from raden_torch.export.profiles import Port
+from raden_torch.export.profiles import GraphInput
 from raden_torch.export.shaders import Shader
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ PUBLIC = "public:"
 """Before the names of inputs and outputs: the exporter calls values inside `view`, too."""
 
 
-def trace(shader: Shader, ports: list[Port], output: str, opset: int) -> onnx.ModelProto:
+def trace(shader: Shader, ports: list[GraphInput], output: str, opset: int) -> onnx.ModelProto:
     """The shader as a graph with one input a port; what the exporter adds is still in it."""
     from onnxscript import opset18
 
@@ -45,7 +45,7 @@ def trace(shader: Shader, ports: list[Port], output: str, opset: int) -> onnx.Mo
     return program.model_proto
 
 
-def _dynamic(port: Port) -> dict[int, Any]:
+def _dynamic(port: GraphInput) -> dict[int, Any]:
     """The sizes that stay free while tracing; those that are 1 in the example broadcast anyway."""
     free = ("batch", "height", "width", "lights")
     return {i: torch.export.Dim.DYNAMIC for i, n in enumerate(port.shape) if n in free}

@@ -70,7 +70,7 @@ def read_parts(path: str | os.PathLike[str]) -> Parts:
     if len(file.parts) != len(expected):
         reason = said.splitlines()[0].rpartition(" - ")[2] if said else "pixels are missing"
         raise InputError(
-            f"{path}: truncated or damaged ({reason}); a whole OpenEXR file was wanted"
+            f"{path}: expected a whole OpenEXR file, got a truncated or damaged one ({reason})"
         )
     return {
         name: {c: placed(channel.pixels, part.header) for c, channel in part.channels.items()}
@@ -116,7 +116,9 @@ def write_parts(
         InputError: as for `write_channels`, or several parts of which one has no name.
     """
     if not parts or (len(parts) > 1 and "" in parts):
-        raise InputError(f"{path}: parts {list(parts)}; at least one, each with a name, was wanted")
+        raise InputError(
+            f"{path}: parts: expected at least one, each with a name, got {list(parts)}"
+        )
     arrays = {
         part: {name: _array(path, name, a, half) for name, a in channels.items()}
         for part, channels in parts.items()
@@ -167,19 +169,24 @@ def headers_of(path: str | os.PathLike[str], *, by_rows: bool = False) -> dict[s
         try:
             name = part.name()
             if name in headers:
-                raise InputError(f"{path}: two parts are called {name!r}; a name each was wanted")
+                raise InputError(
+                    f"{path}: expected a different name for each part, got {name!r} twice"
+                )
             where = f"{path}: part {name!r}" if name else f"{path}"
             values += _check_header(where, part.header, by_rows)
         except UnicodeDecodeError:
-            raise InputError(f"{path}: a channel's or part's name is not UTF-8; damaged?") from None
+            raise InputError(
+                f"{path}: expected names of channels and parts in UTF-8, got other bytes: is it "
+                "damaged?"
+            ) from None
         headers[name] = part.header
     if values > MAX_VALUES and not by_rows:
         raise InputError(
-            f"{path}: {values} values in all channels; at most {MAX_VALUES} are read at once: "
-            "write the channels that are needed to a file of their own"
+            f"{path}: expected at most {MAX_VALUES} values in all channels, got {values}: write "
+            "the channels that are needed to a file of their own"
         )
     if not headers:
-        raise InputError(f"{path}: no part in it; an OpenEXR file with pixels was wanted")
+        raise InputError(f"{path}: expected an OpenEXR file with pixels, got no part")
     return headers
 
 
@@ -188,9 +195,11 @@ def _check_magic(path: str | os.PathLike[str]) -> None:
         with open(path, "rb") as file:
             start = file.read(4)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; an OpenEXR file was wanted") from None
+        raise InputError(
+            f"{path}: expected an OpenEXR file, got an error: {error.strerror}"
+        ) from None
     if start != _MAGIC:
-        raise InputError(f"{path}: not an OpenEXR file (it starts with {start!r})")
+        raise InputError(f"{path}: expected an OpenEXR file, got one that starts with {start!r}")
 
 
 def _open(path: str | os.PathLike[str], *, header_only: bool) -> tuple[Any, str]:
@@ -206,11 +215,11 @@ def _open(path: str | os.PathLike[str], *, header_only: bool) -> tuple[Any, str]
     except Exception:  # the binding lets through whatever C++ throws
         with open(path, "rb") as opened:
             version = opened.read(8)
-        wanted = "a whole OpenEXR file was wanted"
+        wanted = "a whole OpenEXR file"
         if len(version) == 8 and version[5] & _MULTI_PART:
             wanted += ", its parts with different names and the same display window"
         raise InputError(
-            f"{path}: truncated or damaged: OpenEXR cannot open it; {wanted}"
+            f"{path}: expected {wanted}, got a truncated or damaged one, which OpenEXR cannot open"
         ) from None
     return file, said.getvalue()
 
@@ -237,28 +246,28 @@ def _check_header(where: str, header: Mapping[str, Any], by_rows: bool) -> int:
 
     names = _channel_names(header)
     if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
-        raise InputError(f"{where}: deep pixels; flatten it to one value a pixel")
+        raise InputError(f"{where}: expected one value a pixel, got deep pixels; flatten them")
     for channel in header["channels"]:
         if (channel.xSampling, channel.ySampling) != (1, 1):
             raise InputError(
-                f"{where}: channel {channel.name!r} is subsampled "
-                f"{channel.xSampling} x {channel.ySampling}; one value a pixel (RGB) was wanted"
+                f"{where}: channel {channel.name!r}: expected one value a pixel (RGB), got it "
+                f"subsampled {channel.xSampling} x {channel.ySampling}"
             )
     tile = header.get("tiles")
     if tile is not None and not 0 < tile.xSize * tile.ySize <= MAX_PIXELS:
         raise InputError(
-            f"{where}: tiles of {tile.xSize} x {tile.ySize}; 1…{MAX_PIXELS} pixels were wanted"
+            f"{where}: tiles: expected 1…{MAX_PIXELS} pixels, got {tile.xSize} x {tile.ySize}"
         )
     for window in ("dataWindow", "displayWindow"):
         height, width = _size(header[window])
-        claims = f"{where}: its {window} claims {width} x {height} pixels"
+        claims = f"{width} x {height} by its {window}"
         if by_rows and not (0 < height <= MAX_SIDE and 0 < width <= MAX_SIDE):
-            raise InputError(f"{claims}; 1…{MAX_SIDE} on each side were wanted")
+            raise InputError(f"{where}: expected 1…{MAX_SIDE} on each side, got {claims}")
         if not by_rows and (height < 1 or width < 1 or height * width > MAX_PIXELS):
-            raise InputError(f"{claims}; 1…{MAX_PIXELS} pixels were wanted")
+            raise InputError(f"{where}: expected 1…{MAX_PIXELS} pixels, got {claims}")
     if _overlap(header) is None:
         raise InputError(
-            f"{where}: its data window lies outside its display window; an overlap was wanted"
+            f"{where}: expected a data window that overlaps the display window, got one outside it"
         )
     return _area(header["dataWindow"], header["displayWindow"]) * len(names)
 
@@ -309,11 +318,12 @@ def _array(path: object, name: str, values: ArrayLike, half: bool) -> NDArray[An
     array = np.asarray(values)
     if array.ndim != 2 or array.size == 0 or array.dtype.kind not in "fiub":
         raise InputError(
-            f"{path}: channel {name!r} is {array.dtype} {list(array.shape)}; numbers [H, W] wanted"
+            f"{path}: channel {name!r}: expected numbers [H, W], got {array.dtype} "
+            f"{list(array.shape)}"
         )
     if array.size > MAX_PIXELS:
         raise InputError(
-            f"{path}: channel {name!r} has {array.size} pixels; <= {MAX_PIXELS} wanted"
+            f"{path}: channel {name!r}: expected at most {MAX_PIXELS} pixels, got {array.size}"
         )
     with np.errstate(over="ignore"):
         return np.ascontiguousarray(array, np.float16 if half else np.float32)
@@ -323,11 +333,13 @@ def _check_sizes(path: object, parts: Mapping[str, Mapping[str, NDArray[Any]]]) 
     sizes: dict[tuple[int, ...], str] = {}
     for part, channels in parts.items():
         if not channels:
-            raise InputError(f"{path}: part {part!r} has no channel; at least one was wanted")
+            raise InputError(f"{path}: part {part!r}: expected at least one channel, got none")
         for name, array in channels.items():
             if not isinstance(name, str) or not name:
-                raise InputError(f"{path}: channel name {name!r}; a text was wanted")
+                raise InputError(f"{path}: channel name: expected a text, got {name!r}")
             sizes.setdefault(array.shape, f"{part}.{name}".lstrip("."))
     if len(sizes) > 1:
         found = ", ".join(f"{name} {h} x {w}" for (h, w), name in sizes.items())
-        raise InputError(f"{path}: {found} (height x width); one size for all was wanted")
+        raise InputError(
+            f"{path}: expected one size (height x width) for all channels, got {found}"
+        )

@@ -176,7 +176,7 @@ def rows_written(
 
         yield add
         if top != height:
-            raise InputError(f"{path}: {top} rows were given; {height} were wanted")
+            raise InputError(f"{path}: expected {height} rows, got {top}")
         file.seek(int(starts[0][0]))
         file.write(np.concatenate(starts[1:]).astype("<u8").tobytes())
 

@@ -113,7 +113,7 @@ def _by_pillow(path: str | os.PathLike[str], start: bytes) -> Header:
             tags = dict(exif) | dict(exif.get_ifd(0x8769))
             depth = _ppm_levels(image) if name == "PPM" else 255
     except Image.DecompressionBombError:
-        raise InputError(f"{path}: too many pixels; at most {MAX_PIXELS} are read") from None
+        raise InputError(f"{path}: expected at most {MAX_PIXELS} pixels, got more") from None
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError, struct.error) as error:
         if isinstance(error, InputError):
             raise

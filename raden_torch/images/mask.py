@@ -49,11 +49,13 @@ def read_mask_pixels(
     if size is not None and mask.shape != size:
         (h, w), (height, width) = mask.shape, size
         raise InputError(
-            f"{path}: {w} x {h} pixels, but the photographs have {width} x {height}; a mask of "
-            "their size was wanted"
+            f"{path}: expected a mask of {width} x {height} pixels, the size of the photographs, "
+            f"got {w} x {h}"
         )
     if not (mask > 0).any():
-        raise InputError(f"{path}: the mask is empty (all black); white on the object was wanted")
+        raise InputError(
+            f"{path}: expected a mask that is white on the object, got an empty one (all black)"
+        )
     return mask
 
 

@@ -1,6 +1,13 @@
 """What a file holds, in words: every kind of file that raden writes or reads."""
 
-from raden_torch.info.kinds import KINDS, Kind, describe_file, kind_of
-from raden_torch.info.reflectance import describe_measurement, describe_model
+from raden_torch.info.kinds import KINDS, FileKind, describe_file, kind_of
+from raden_torch.info.reflectance_info import describe_measurement, describe_model
 
-__all__ = ["KINDS", "Kind", "describe_file", "describe_measurement", "describe_model", "kind_of"]
+__all__ = [
+    "KINDS",
+    "FileKind",
+    "describe_file",
+    "describe_measurement",
+    "describe_model",
+    "kind_of",
+]

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from raden_torch.errors import InputError
-from raden_torch.info import pictures, reflectance, results, rigs, shader
+from raden_torch.info import image_info, reflectance_info, result_info, rig_info, shader_info
 from raden_torch.measurement.text_file import read_head
 
 
 @dataclass(frozen=True)
-class Kind:
+class FileKind:
     """A kind of file.
 
     Attributes:
@@ -29,19 +29,27 @@ class Kind:
 
 
 KINDS = (
-    Kind("a model", lambda head: head[8:9] == b"{", reflectance.describe_model_file),
-    Kind("an ONNX file", shader.recognises, shader.describe),
-    Kind("an OpenEXR file", pictures.recognises_exr, pictures.describe_exr),
-    Kind("an image", pictures.recognises_image, pictures.describe_image),
-    Kind("a scan's journal", rigs.recognises_journal, rigs.describe_journal),
-    Kind("a rig file", rigs.recognises_rig, rigs.describe_rig),
-    Kind("a result of `raden capture`", results.recognises_result, results.describe_result),
-    Kind("a calibration by OpenCV", results.recognises_opencv, results.describe_camera),
-    Kind("the truth of simulated photographs", results.recognises_truth, results.describe_truth),
-    Kind("a benchmark", results.recognises_bench, results.describe_bench),
-    Kind("a list of cells", rigs.recognises_cells, rigs.describe_cells),
-    Kind(
-        "a measurement", reflectance.recognises_measurement, reflectance.describe_measurement_file
+    FileKind("a model", lambda head: head[8:9] == b"{", reflectance_info.describe_model_file),
+    FileKind("an ONNX file", shader_info.recognises, shader_info.describe),
+    FileKind("an OpenEXR file", image_info.recognises_exr, image_info.describe_exr),
+    FileKind("an image", image_info.recognises_image, image_info.describe_image),
+    FileKind("a scan's journal", rig_info.recognises_journal, rig_info.describe_journal),
+    FileKind("a rig file", rig_info.recognises_rig, rig_info.describe_rig),
+    FileKind(
+        "a result of `raden capture`", result_info.recognises_result, result_info.describe_result
+    ),
+    FileKind("a calibration by OpenCV", result_info.recognises_opencv, result_info.describe_camera),
+    FileKind(
+        "the truth of simulated photographs",
+        result_info.recognises_truth,
+        result_info.describe_truth,
+    ),
+    FileKind("a benchmark", result_info.recognises_bench, result_info.describe_bench),
+    FileKind("a list of cells", rig_info.recognises_cells, rig_info.describe_cells),
+    FileKind(
+        "a measurement",
+        reflectance_info.recognises_measurement,
+        reflectance_info.describe_measurement_file,
     ),
 )
 """The first that recognises a file has it."""
@@ -66,7 +74,7 @@ def describe_file(path: str | os.PathLike[str]) -> str:
         ) from None
 
 
-def kind_of(path: str | os.PathLike[str]) -> Kind:
+def kind_of(path: str | os.PathLike[str]) -> FileKind:
     """The kind of a file, by its first bytes.
 
     Raises:

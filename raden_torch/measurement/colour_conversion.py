@@ -127,7 +127,9 @@ def bands_to_xyz_matrix(measurement: BrdfMeasurement) -> Floats:
     white, observer = measurement.metadata.white, _observer(measurement)
     _white_xy(white, observer)
     if white not in colour.SDS_ILLUMINANTS:
-        raise InputError(f"measurement: no spectrum is known for the white {white}; D65 has one")
+        raise InputError(
+            f"measurement: expected a white whose spectrum is known, as D65, got {white}"
+        )
     shape = colour.SpectralShape(360, 780, 1)
     wavelengths = shape.range()
     joined = np.stack([np.interp(wavelengths, bands, row) for row in np.eye(len(bands))])
@@ -141,7 +143,7 @@ def _observer(measurement: BrdfMeasurement) -> str:
     name = measurement.metadata.observer
     if name not in _OBSERVERS:
         raise InputError(
-            f"measurement: observer {name!r} is not known; {', '.join(_OBSERVERS)} are"
+            f"measurement: observer: expected one of {', '.join(_OBSERVERS)}, got {name!r}"
         )
     return name
 
@@ -155,6 +157,6 @@ def _white_xy(white: str, observer: str) -> Floats:
     known = colour.CCS_ILLUMINANTS[_OBSERVERS[observer]]
     if white not in known:
         raise InputError(
-            f"measurement: white {white!r} is not known; D65, D50, A, E and others are"
+            f"measurement: white: expected D65, D50, A, E or another that is known, got {white!r}"
         )
     return np.asarray(known[white], np.float64)

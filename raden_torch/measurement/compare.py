@@ -235,7 +235,7 @@ def common_channels(measurements: tuple[BrdfMeasurement, ...]) -> tuple[str, ...
         values = list(dict.fromkeys(getattr(m.metadata, what) for m in measurements))
         if len(values) > 1:
             raise InputError(
-                f"measurements: their {what}s are {' and '.join(values)}; the same was wanted"
+                f"measurements: {what}: expected the same in both, got {' and '.join(values)}"
             )
     same = len({m.channels for m in measurements}) == 1
     return measurements[0].channels if same else XYZ
@@ -243,7 +243,7 @@ def common_channels(measurements: tuple[BrdfMeasurement, ...]) -> tuple[str, ...
 
 def _scale_std(pair: tuple[BrdfMeasurement, BrdfMeasurement]) -> float:
     """Of the ratio of their scales; where both name the same reference, its error cancels."""
-    a, b = (m.metadata.common for m in pair)
+    a, b = (m.metadata.systematic for m in pair)
     own = math.hypot(a.white_mean_std, b.white_mean_std)
     if a.scale_reference and a.scale_reference == b.scale_reference:
         return own

@@ -98,13 +98,15 @@ def _rows(table: CsvTable) -> Iterator[tuple[int, list[str]]]:
             continue
         cells = cells_of(line, table.separator)
         if cells is None:
-            raise InputError(f"{table.path}: line {number}: a quote is not closed")
+            raise InputError(
+                f"{table.path}: line {number}: expected a closing quote, got the end of the line"
+            )
         if len(cells) > width and not any(cell.strip() for cell in cells[width:]):
             del cells[width:]
         if len(cells) != width:
             last = number == table.first_line + len(lines) - 1
             raise InputError(
-                f"{table.path}: line {number}: {len(cells)} values, {width} were wanted"
+                f"{table.path}: line {number}: expected {width} values, got {len(cells)}"
                 + _why(table, len(cells) - width, last)
             )
         yield number, cells
@@ -146,7 +148,7 @@ class _Numbers:
         except ValueError:
             pass
         raise InputError(
-            f"{self._place(line, column)}: {_shown(cell)} is not a number"
+            f"{self._place(line, column)}: expected a number, got {_shown(cell)}"
             + ("; thousands separators are not read" if _is_grouped(cell) else "")
         )
 

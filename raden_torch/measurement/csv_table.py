@@ -34,7 +34,7 @@ _HINT = re.compile(r'"?sep=(.)"?[,;\t ]*', re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Heading:
+class CsvHeading:
     """What stands above the rows.
 
     Attributes:
@@ -106,7 +106,7 @@ class CsvTable:
         return ", ".join(parts)
 
 
-def find_heading(text: str) -> Heading:
+def find_heading(text: str) -> CsvHeading:
     """The comments and the line of column names at the beginning of a text."""
     comments, hint, at, number = [], "", 0, 0
     while at < len(text):
@@ -119,8 +119,8 @@ def find_heading(text: str) -> Heading:
         elif line.lstrip(' "').startswith("#"):
             comments.append(line.strip())
         elif line.strip(BLANK):
-            return Heading(tuple(comments), line, number, min(at, len(text)), hint)
-    return Heading(tuple(comments), "", number, len(text), hint)
+            return CsvHeading(tuple(comments), line, number, min(at, len(text)), hint)
+    return CsvHeading(tuple(comments), "", number, len(text), hint)
 
 
 def open_table(path: Path, limit: int, wanted: Sequence[str]) -> CsvTable:
@@ -135,7 +135,7 @@ def open_table(path: Path, limit: int, wanted: Sequence[str]) -> CsvTable:
     file = read_text(path, limit)
     heading = find_heading(file.text)
     if not heading.names:
-        raise InputError(f"{path}: it is empty; columns {','.join(wanted)} were wanted")
+        raise InputError(f"{path}: expected columns {','.join(wanted)}, got an empty file")
     separator, written = _separated(path, heading, wanted)
     columns = tuple(map(own_name, written))
     _check_each_once(path, heading.number, columns)
@@ -151,7 +151,9 @@ def open_table(path: Path, limit: int, wanted: Sequence[str]) -> CsvTable:
     )
 
 
-def _separated(path: Path, heading: Heading, wanted: Sequence[str]) -> tuple[str, tuple[str, ...]]:
+def _separated(
+    path: Path, heading: CsvHeading, wanted: Sequence[str]
+) -> tuple[str, tuple[str, ...]]:
     """The separator, and the names without the empty ones at the end."""
     splits: dict[str, tuple[str, ...]] = {}
     for separator in SEPARATORS:

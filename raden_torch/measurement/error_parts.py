@@ -9,8 +9,8 @@ import numpy as np
 from raden_torch.arrays import Floats, Ints
 from raden_torch.errors import InputError
 from raden_torch.measurement.colour_conversion import matrix_to
-from raden_torch.measurement.common_errors import zero_sensitivity
 from raden_torch.measurement.readings import BrdfMeasurement
+from raden_torch.measurement.systematic_errors import zero_sensitivity
 from raden_torch.reflectance.slopes import slopes_per_deg
 
 _LEAST_OWN = 1.0 / 3.0  # of `std`: what a slope that was overestimated may take from it
@@ -60,7 +60,7 @@ def error_parts(measurement: BrdfMeasurement, channels: tuple[str, ...]) -> Erro
         InputError: its channels make no colour, or some readings state no standard deviation.
     """
     m = measurement.select(measurement.valid)
-    common = m.metadata.common
+    common = m.metadata.systematic
     floor = (_LEAST_STD * abs(m.values).max(initial=1e-6)) ** 2
     variance = np.full(m.values.shape, floor)
     zeros = np.zeros((*m.values.shape, 3))
@@ -88,23 +88,23 @@ def stated_variance(measurement: BrdfMeasurement) -> Floats:
     name = m.metadata.sample or "an unnamed sample"
     if m.std is None:
         raise InputError(
-            f"measurement of {name}: states no standard deviation, and so has no weight; give it "
-            f"columns std_{', std_'.join(m.channels[:3])}"
+            f"measurement of {name}: expected columns std_{', std_'.join(m.channels[:3])}, got "
+            "none; without a standard deviation it has no weight"
         )
     wrong = ~np.isfinite(m.std).all(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            f"measurement of {name}: no standard deviation at incidence {m.incidence_deg[row]:g}, "
-            f"receiving {m.receiving_deg[row]:g}, tilt {m.tilt_deg[row]:g} deg; give it one, or "
-            "mark the reading as not valid"
+            f"measurement of {name}: expected a standard deviation at incidence "
+            f"{m.incidence_deg[row]:g}, receiving {m.receiving_deg[row]:g}, tilt "
+            f"{m.tilt_deg[row]:g} deg, got none; give it one, or mark the reading as not valid"
         )
     return np.asarray(m.std**2)
 
 
 def zero_effects(measurement: BrdfMeasurement) -> Floats:
     """`[M, C, 3]`: what one standard deviation of each axis' zero does to each value."""
-    m, common = measurement, measurement.metadata.common
+    m, common = measurement, measurement.metadata.systematic
     slopes = slopes_per_deg(m.angles_deg, m.values, m.valid)
     sensitivity = zero_sensitivity(m.values, m.angles_deg, slopes, common.white_deg)
     return np.asarray(sensitivity * np.array(common.zero_std_deg))

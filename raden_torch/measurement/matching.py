@@ -24,7 +24,7 @@ _ROWS_AT_ONCE = 4_000
 
 
 @dataclass(frozen=True)
-class Matched:
+class MatchedReadings:
     """Rows, among the valid readings of each measurement, that are of one geometry."""
 
     first: Ints
@@ -38,13 +38,13 @@ def geometries_deg(measurement: BrdfMeasurement) -> Floats:
     return np.column_stack([m.angles_deg, azimuth])
 
 
-def same_geometries(first: BrdfMeasurement, second: BrdfMeasurement) -> Matched:
+def same_geometries(first: BrdfMeasurement, second: BrdfMeasurement) -> MatchedReadings:
     """The geometries, within 5e-7 degree, that both have a valid reading of; each once."""
     keys = [np.round(geometries_deg(m)[m.valid], DIGITS) + 0.0 for m in (first, second)]  # −0 is 0
     of_first, of_second = ({tuple(key): row for row, key in enumerate(k.tolist())} for k in keys)
     both = [(row, of_second[key]) for key, row in of_first.items() if key in of_second]
     rows = np.array(both, np.intp).reshape(-1, 2)
-    return Matched(rows[:, 0], rows[:, 1])
+    return MatchedReadings(rows[:, 0], rows[:, 1])
 
 
 def interpolated_at(

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.compare import compare_shared
 from raden_torch.measurement.consistency import CONTRADICTION_STD, MAX_BIRGE, Chi2
 from raden_torch.measurement.readings import BrdfMeasurement, Metadata
 from raden_torch.measurement.scale_alignment import Scales, aligned_scales
 from raden_torch.measurement.stack import Stack
+from raden_torch.measurement.systematic_errors import SystematicErrors
 
 _REFUSED_P = 1e-6  # what chance alone may refuse
 _ADVICE = (
@@ -37,7 +37,7 @@ _WORST = 3  # cells that are named
 
 
 @dataclass(frozen=True)
-class Merged:
+class MergedMeasurement:
     """Attributes:
     measurement: the result; `count` adds up, cells of one measurement alone are kept.
     shared: how many cells have readings of several measurements.
@@ -62,7 +62,7 @@ class Merged:
             repr(m),
             f"{self.shared} cells from several measurements, {int(m.valid.sum()) - self.shared} "
             "from one",
-            f"scales divided by {factors}; scale_std left: {m.metadata.common.scale_std:.2g}",
+            f"scales divided by {factors}; scale_std left: {m.metadata.systematic.scale_std:.2g}",
             f"chi2/dof of the shared cells {self.chi2.per_dof:.3g}",
         ]
         if self.contradicting or self.enlarged > 1.0:
@@ -73,7 +73,7 @@ class Merged:
         return "\n".join(lines)
 
 
-def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> Merged:
+def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> MergedMeasurement:
     """One measurement of several of one specimen; their order does not matter.
 
     Args:
@@ -87,7 +87,7 @@ def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> M
     """
     _check(measurements)
     stack = Stack.of(measurements)
-    scales = aligned_scales(stack, [m.metadata.common for m in measurements])
+    scales = aligned_scales(stack, [m.metadata.systematic for m in measurements])
     values, weight = stack.rescaled(scales.errors)
     mean = stack.mean(values, weight)
     scatter = _scatter(stack, values, mean, weight)
@@ -107,7 +107,7 @@ def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> M
         count=stack.total(stack.count[:, None])[:, 0].astype(np.int64),
         metadata=_metadata(measurements, scales, enlarged),
     )
-    return Merged(
+    return MergedMeasurement(
         merged,
         int(stack.several.sum()),
         tuple(np.exp(scales.errors).tolist()),
@@ -119,9 +119,11 @@ def merge(measurements: Sequence[BrdfMeasurement], *, robust: bool = False) -> M
 
 def _check(measurements: Sequence[BrdfMeasurement]) -> None:
     if len(measurements) < 2:
-        raise InputError("merge: two measurements or more were wanted")
+        raise InputError(f"merge: expected two measurements or more, got {len(measurements)}")
     if len({m.azimuth_deg is None for m in measurements}) > 1:
-        raise InputError("merge: some have a sample azimuth and some have none; give it to all")
+        raise InputError(
+            "merge: expected a sample azimuth in all measurements or in none, got it in some"
+        )
 
 
 def _check_pairs(measurements: Sequence[BrdfMeasurement]) -> None:
@@ -188,10 +190,10 @@ def _metadata(measurements: Sequence[BrdfMeasurement], scales: Scales, enlarged:
     """The same in any order; what was merged stands in the entries."""
     metas = [m.metadata for m in measurements]
     joined = lambda name: "; ".join(sorted({getattr(meta, name) for meta in metas} - {""}))  # noqa: E731
-    references = {meta.common.scale_reference for meta in metas}
-    zeros = np.array([meta.common.zero_std_deg for meta in metas])
+    references = {meta.systematic.scale_reference for meta in metas}
+    zeros = np.array([meta.systematic.zero_std_deg for meta in metas])
     a, r, t = (float(f"{std:.9g}") for std in np.sqrt(scales.share**2 @ zeros**2))
-    whites = {meta.common.white_deg for meta in metas}
+    whites = {meta.systematic.white_deg for meta in metas}
     entries = [
         (
             "merged",
@@ -208,7 +210,7 @@ def _metadata(measurements: Sequence[BrdfMeasurement], scales: Scales, enlarged:
         sample=joined("sample"),
         instrument=joined("instrument"),
         simulated=any(meta.simulated for meta in metas),
-        common=CommonErrors(
+        systematic=SystematicErrors(
             float(f"{scales.remaining:.9g}"),  # the same in any order, beyond rounding
             references.pop() if len(references) == 1 else "",
             zero_std_deg=(a, r, t),

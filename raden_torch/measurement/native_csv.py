@@ -9,7 +9,7 @@
 Rows in any order, gaps allowed. Optional columns: `azimuth_deg`, `std_<channel>`, `count`, `valid`
 (0 or 1). An empty or `nan` value is a reading without a value. `readings`, where it is given, must
 be the number of rows: that is how a file cut at the end of a line is noticed. The entries
-of `CommonErrors` (`scale_std` and others) may be missing.
+of `SystematicErrors` (`scale_std` and others) may be missing.
 
 So it is written, in UTF-8. It is read as spreadsheets save it, too: `csv_table` and `text_file` say
 which encodings, separators, decimal commas and column names are taken; a warning says what was.
@@ -28,7 +28,7 @@ import numpy as np
 from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, written_beside
-from raden_torch.measurement import common_errors
+from raden_torch.measurement import systematic_errors
 from raden_torch.measurement.csv_table import CsvTable, find_heading, open_table
 from raden_torch.measurement.readings import BrdfMeasurement, Metadata
 
@@ -37,7 +37,7 @@ _ANGLES = ("incidence_deg", "receiving_deg", "tilt_deg")
 _QUANTITY = "reflectance factor, perfect reflecting diffuser = 100 in every geometry"
 _OWN_KEYS = (
     *("material", "quantity", "instrument", "white", "observer", "simulated", "readings"),
-    *common_errors.KEYS,
+    *systematic_errors.KEYS,
 )
 _QUARTER_TURN_RAD = 1.6
 
@@ -106,7 +106,7 @@ def write(measurement: BrdfMeasurement, path: str | os.PathLike[str]) -> None:
         ("white", meta.white),
         ("observer", meta.observer),
         ("simulated", "true" if meta.simulated else "false"),
-        *meta.common.as_entries(),
+        *meta.systematic.as_entries(),
         *meta.other,
         ("readings", str(len(m))),
     ]
@@ -156,24 +156,25 @@ def _check_claimed_rows(file: CsvTable, header: _Header) -> None:
     if claimed is None:
         return
     if not re.fullmatch("[0-9]{1,18}", claimed):
-        raise InputError(f"{file.path}: header: readings = {claimed[:40]!r} is not a whole number")
+        raise InputError(
+            f"{file.path}: header: readings: expected a whole number, got {claimed[:40]!r}"
+        )
     least = 2 * len(file.columns)  # a digit and a separator or line end each
     if int(claimed) * least > len(file.body) + 1:
         raise InputError(
-            f"{file.path}: header claims {claimed} readings, more than its "
-            f"{len(file.body)} characters of rows can hold; "
-            "the file is truncated or the header is wrong"
+            f"{file.path}: expected {claimed} readings by its header, got {len(file.body)} "
+            "characters, in which they do not fit; the file is truncated or the header is wrong"
         )
 
 
 def _check_rows(path: Path, header: _Header, rows: int) -> None:
     if not rows:
-        raise InputError(f"{path}: it has no readings below its column names")
+        raise InputError(f"{path}: expected readings below its column names, got none")
     claimed = header.entries.get("readings")
     if claimed is not None and int(claimed) != rows:
         raise InputError(
-            f"{path}: header says {claimed} readings, {rows} are there; "
-            "the file is truncated, or `readings` was not kept up"
+            f"{path}: expected {claimed} readings by its header, got {rows}; the file is "
+            "truncated, or `readings` was not kept up"
         )
 
 
@@ -181,7 +182,9 @@ def _channels(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
     where = f"{path}: columns {','.join(name[:40] for name in columns[:12])}"
     missing = [name for name in _ANGLES if name not in columns]
     if missing:
-        raise InputError(f"{where}: {', '.join(missing)} missing; angles are wanted in degrees")
+        raise InputError(
+            f"{where}: expected columns of angles in degrees, got none named {', '.join(missing)}"
+        )
     optional = {"azimuth_deg", "count", "valid"}
     channels = tuple(
         name for name in columns if name not in {*_ANGLES, *optional} and name[:4] != "std_"
@@ -192,13 +195,13 @@ def _channels(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
     if not known:
         names = ", ".join(name[:40] or "(no name)" for name in channels[:12])
         raise InputError(
-            f"{where}: value columns {names or '(none)'}; "
-            "X,Y,Z or R,G,B or bands as 550nm were wanted"
+            f"{where}: value columns: expected X,Y,Z or R,G,B or bands as 550nm, got "
+            f"{names or '(none)'}"
         )
     spread = [name for name in columns if name[:4] == "std_"]
     if spread and set(spread) != {f"std_{channel}" for channel in channels}:
         raise InputError(
-            f"{where}: {', '.join(spread[:12])} do not match the channels; one for each"
+            f"{where}: expected one column std_ per channel, got {', '.join(spread[:12])}"
         )
     return channels
 
@@ -211,8 +214,8 @@ def _check_degrees(path: Path, header: _Header, columns: dict[str, Floats]) -> N
     fractional = (angles != np.round(angles)).any()
     if 0 < largest <= _QUARTER_TURN_RAD and fractional:
         raise InputError(
-            f"{path}: the largest angle is {largest:g}: these look like radians; degrees are "
-            "wanted (if they are degrees, add the header line '# angles: degrees')"
+            f"{path}: expected angles in degrees, got {largest:g} at most, which look like "
+            "radians (if they are degrees, add the header line '# angles: degrees')"
         )
 
 
@@ -225,7 +228,7 @@ def _whole_numbers(path: Path, columns: dict[str, Floats], name: str) -> Floats 
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            f"{path}: reading {row + 1}, column {name}: {column[row]:g} is not {wanted}"
+            f"{path}: reading {row + 1}, column {name}: expected {wanted}, got {column[row]:g}"
         )
     return column
 
@@ -234,13 +237,15 @@ def _metadata(path: Path, header: _Header) -> Metadata:
     entries = header.entries
     simulated = entries.get("simulated", "false").lower()
     if simulated not in ("true", "false"):
-        raise InputError(f"{path}: header: simulated = {simulated!r}; true or false was wanted")
+        raise InputError(
+            f"measurement: header: simulated: expected true or false, got {simulated!r}"
+        )
     quantity = entries.get("quantity", "")
     scale = re.search(r"=\s*([0-9]+(?:\.[0-9]+)?)", quantity)
     if scale and float(scale[1]) != 100:
         raise InputError(
-            f"{path}: header: the perfect reflecting diffuser is {scale[1]}; 100 is wanted "
-            "(scale the values)"
+            f"measurement: header: perfect reflecting diffuser: expected 100, got {scale[1]}; "
+            "scale the values"
         )
     stated = re.search(r"\b(D50|D55|D60|D65|D75|A|C|E)\s*$", quantity)
     ten_degrees = re.search(r"CIE 1964|\b10 deg", quantity)
@@ -251,7 +256,7 @@ def _metadata(path: Path, header: _Header) -> Metadata:
         observer=entries.get("observer")
         or ("CIE 1964 10 deg" if ten_degrees else "CIE 1931 2 deg"),
         simulated=simulated == "true",
-        common=common_errors.CommonErrors.from_entries(entries),
+        systematic=systematic_errors.SystematicErrors.from_entries(entries),
         other=tuple((k, v) for k, v in entries.items() if k not in _OWN_KEYS),
         notes=header.notes,
     )

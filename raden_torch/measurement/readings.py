@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.consistency import pair_contradicts
+from raden_torch.measurement.systematic_errors import SystematicErrors
 from raden_torch.reflectance.grid import DIGITS, AngleGrid
 
 XYZ = ("X", "Y", "Z")
@@ -50,7 +50,7 @@ class Metadata:
     white: str = "D65"
     observer: str = "CIE 1931 2 deg"
     simulated: bool = False
-    common: CommonErrors = field(default_factory=CommonErrors)
+    systematic: SystematicErrors = field(default_factory=SystematicErrors)
     other: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -97,7 +97,7 @@ class BrdfMeasurement:
             band, as "550nm".
         azimuth_deg: `[M]` or None.
         std: `[M, C]` standard deviations (k = 1) or None: all that is known but the error of the
-            scale, which is common to all readings (`metadata.common`).
+            scale, which is common to all readings (`metadata.systematic`).
         count: `[M]` how many raw readings went into a row, or None.
         valid: `[M]`; a row whose value is NaN is never valid.
 
@@ -125,7 +125,7 @@ class BrdfMeasurement:
         set_("values", np.asarray(self.values, np.float64))
         n = len(self.incidence_deg)
         if n == 0:
-            raise InputError("measurement: it has no readings; at least one is needed")
+            raise InputError("measurement: expected at least one reading, got none")
         _check_shape("values", self.values, (n, len(self.channels)))
         _check_shape("receiving_deg", self.receiving_deg, (n,))
         _check_shape("tilt_deg", self.tilt_deg, (n,))
@@ -164,7 +164,7 @@ class BrdfMeasurement:
     def wavelengths_nm(self) -> Floats:
         """`[C]` band centres in nm. Raises InputError where the channels are not spectral."""
         if not self.is_spectral:
-            raise InputError(f"measurement: channels {self.channels} are not spectral bands")
+            raise InputError(f"measurement: expected spectral bands, got channels {self.channels}")
         return np.array([_wavelength(c) for c in self.channels], np.float64)
 
     @property
@@ -237,16 +237,16 @@ class BrdfMeasurement:
         """
         if self.azimuths > 1:
             raise InputError(
-                f"measurement: {self.azimuths} sample azimuths do not make one grid; select the "
-                "readings of one azimuth"
+                f"measurement: expected readings of one sample azimuth, got {self.azimuths}; "
+                "select the readings of one azimuth"
             )
         grid, index = AngleGrid.through(self.angles_deg)
         shape = grid.shape
         cells = int(np.prod(shape, dtype=np.float64))
         if not self.is_grid:
             raise InputError(
-                f"measurement: {len(self)} readings lie scattered (a grid through all of them has "
-                f"{' x '.join(map(str, shape))} cells); a grid was wanted"
+                f"measurement: expected readings on a grid, got {len(self)} scattered ones (a "
+                f"grid through all of them has {' x '.join(map(str, shape))} cells)"
             )
         flat = np.ravel_multi_index(tuple(index.T), shape)[self.valid]
         weight = np.ones(len(self)) if self.count is None else np.maximum(self.count, 1.0)
@@ -300,8 +300,8 @@ class BrdfMeasurement:
             if wrong.any():
                 row = int(np.argmax(wrong))
                 raise InputError(
-                    f"measurement: {name}_deg = {angle[row]:g} in reading {row + 1}; "
-                    f"it must lie in {low:g}…{high:g} degrees"
+                    f"measurement: reading {row + 1}: {name}_deg: expected {low:g}…{high:g} "
+                    f"degrees, got {angle[row]:g}"
                 )
 
     def _check_values(self) -> None:
@@ -309,15 +309,16 @@ class BrdfMeasurement:
         if infinite.any():
             row, channel = np.unravel_index(int(np.argmax(infinite)), self.values.shape)
             raise InputError(
-                f"measurement: {self.channels[channel]} is infinite in reading {row + 1}; "
-                "mark a saturated reading as not valid, or leave its value empty"
+                f"measurement: reading {row + 1}: {self.channels[channel]}: expected a finite "
+                "value, got infinity; mark a saturated reading as not valid, or leave its value "
+                "empty"
             )
 
         if self.std is not None and (self.std < 0).any():
             row, channel = np.unravel_index(int(np.argmax(self.std < 0)), self.std.shape)
             raise InputError(
-                f"measurement: std_{self.channels[channel]} = {self.std[row, channel]:g} in "
-                f"reading {row + 1}; at least 0 was wanted"
+                f"measurement: reading {row + 1}: std_{self.channels[channel]}: expected at least "
+                f"0, got {self.std[row, channel]:g}"
             )
 
     def _check_duplicates(self) -> None:
@@ -339,26 +340,28 @@ class BrdfMeasurement:
             i, j = sorted((int(first[k]), int(second[k])))
             geometry = ", ".join(f"{column[i]:g}" for column in columns)
             raise InputError(
-                f"measurement: readings {i + 1} and {j + 1} have the same geometry "
-                f"({geometry} deg) but {self.channels[0]} = {self.values[i, 0]:g} and "
-                f"{self.values[j, 0]:g}; keep one, or give their standard deviation"
+                f"measurement: readings {i + 1} and {j + 1}: expected different geometries, or "
+                f"standard deviations, got {self.channels[0]} = {self.values[i, 0]:g} and "
+                f"{self.values[j, 0]:g} at the same geometry ({geometry} deg)"
             )
 
 
 def _column(column: Any, name: str) -> Floats:
     array = np.asarray(column, np.float64)
     if array.ndim != 1:
-        raise InputError(f"measurement: {name} has shape {list(array.shape)}; [M] was wanted")
+        raise InputError(f"measurement: {name}: expected shape [M], got {list(array.shape)}")
     if not np.isfinite(array).all():
         row = int(np.argmin(np.isfinite(array)))
-        raise InputError(f"measurement: {name} is not a finite number in reading {row + 1}")
+        raise InputError(
+            f"measurement: reading {row + 1}: {name}: expected a finite number, got {array[row]:g}"
+        )
     return array
 
 
 def _check_shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
     if array.shape != shape:
         raise InputError(
-            f"measurement: {name} has shape {list(array.shape)}; {list(shape)} was wanted"
+            f"measurement: {name}: expected shape {list(shape)}, got {list(array.shape)}"
         )
 
 
@@ -366,11 +369,14 @@ def _check_channels(channels: tuple[str, ...]) -> None:
     spectral = [_wavelength(c) for c in channels]
     if channels not in (XYZ, RGB) and (not channels or None in spectral):
         raise InputError(
-            f"measurement: channels {', '.join(channels) or '(none)'}; X, Y, Z or R, G, B or "
-            "spectral bands (as 550nm) were wanted"
+            "measurement: channels: expected X, Y, Z or R, G, B or spectral bands (as 550nm), "
+            f"got {', '.join(channels) or '(none)'}"
         )
     if None not in spectral and (np.diff(np.array(spectral, float)) <= 0).any():
-        raise InputError("measurement: the spectral bands must be named in ascending wavelength")
+        raise InputError(
+            "measurement: expected spectral bands in ascending wavelength, got "
+            f"{', '.join(channels)}"
+        )
 
 
 def _wavelength(channel: str) -> float | None:

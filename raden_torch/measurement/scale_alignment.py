@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.stack import Stack
+from raden_torch.measurement.systematic_errors import SystematicErrors
 
 _ROUNDS = 50
 _SETTLED = 1e-12
@@ -21,7 +21,7 @@ class Scales:
     share: Floats  # [S] of each measurement's weight in the result
 
 
-def aligned_scales(stack: Stack, common: list[CommonErrors]) -> Scales:
+def aligned_scales(stack: Stack, common: list[SystematicErrors]) -> Scales:
     """Gauss–Newton on z; the cells' means are eliminated in each round."""
     effect, sources = _effects(common), len(common)
     z = np.zeros(effect.shape[1])
@@ -41,7 +41,7 @@ def aligned_scales(stack: Stack, common: list[CommonErrors]) -> Scales:
     return Scales(effect @ z, remaining, share / share.sum())
 
 
-def _effects(common: list[CommonErrors]) -> Floats:
+def _effects(common: list[SystematicErrors]) -> Floats:
     """`[S, G]`: what one standard deviation of each independent scale does to each measurement."""
     references = [one.scale_reference or f"\0{number}" for number, one in enumerate(common)]
     names = sorted(set(references))

@@ -50,7 +50,7 @@ def read_head(path: Path, wanted: str) -> bytes:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; expected {wanted}") from None
+        raise InputError(f"{path}: expected {wanted}, got an error: {error.strerror}") from None
     return _unpacked(path, HEAD_BYTES) if head.startswith(_GZIP) else head
 
 
@@ -71,10 +71,10 @@ def read_content(path: Path, limit: int) -> bytes:
     try:
         size = path.stat().st_size
         if size > limit:
-            raise InputError(f"{path}: {_bytes(size)}; at most {_bytes(limit)} are read")
+            raise InputError(f"{path}: expected at most {_bytes(limit)}, got {size} bytes")
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; a text file was wanted") from None
+        raise InputError(f"{path}: expected a text file, got an error: {error.strerror}") from None
     if not data.startswith(_GZIP):
         return data
     most = min(limit, max(_SMALL_BYTES, _MAX_EXPANSION * size))

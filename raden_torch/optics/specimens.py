@@ -111,10 +111,10 @@ def simulate_specimen(
         InputError: an unknown name, or an argument out of its range.
     """
     if name not in tuple(SPECIMENS):
-        raise InputError(f"specimen {name!r} is not known; {', '.join(SPECIMENS)} are")
+        raise InputError(f"specimen: expected one of {', '.join(SPECIMENS)}, got {name!r}")
     noise = _number(noise, "noise", 0.0, 1.0)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise InputError(f"seed = {seed!r}; a whole number of at least 0 was wanted")
+        raise InputError(f"seed: expected a whole number of at least 0, got {seed!r}")
     angles = _grid(step_deg) if geometries_deg is None else _scattered(geometries_deg)
     bands_to_values = np.eye(len(BANDS_NM)) if spectral else _bands_to_xyz()
     values = np.empty((len(angles), bands_to_values.shape[1]))
@@ -176,7 +176,7 @@ def _number(value: float, name: str, low: float, high: float) -> float:
     real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
     number = float(value) if real else math.nan
     if not low <= number <= high:
-        raise InputError(f"{name} = {value!r}; a number in {low:g}…{high:g} was wanted")
+        raise InputError(f"{name}: expected a number in {low:g}…{high:g}, got {value!r}")
     return number
 
 
@@ -184,7 +184,9 @@ def _grid(step_deg: float) -> Floats:
     step = _number(step_deg, "step_deg", _MIN_STEP_DEG, MAX_ANGLE_DEG)
     steps = round(MAX_ANGLE_DEG / step)
     if not math.isclose(steps * step, MAX_ANGLE_DEG):
-        raise InputError(f"step_deg = {step:g}; {MAX_ANGLE_DEG:g} must be a whole number of steps")
+        raise InputError(
+            f"step_deg: expected a whole number of steps to {MAX_ANGLE_DEG:g}, got {step:g}"
+        )
     axis = np.linspace(-MAX_ANGLE_DEG, MAX_ANGLE_DEG, 2 * steps + 1)
     grid = np.meshgrid(axis[steps:], axis, axis, indexing="ij")
     return np.stack(grid, axis=-1).reshape(-1, 3)
@@ -194,15 +196,17 @@ def _scattered(geometries_deg: ArrayLike) -> Floats:
     try:
         angles = np.asarray(geometries_deg, np.float64)
     except (TypeError, ValueError):
-        raise InputError("geometries_deg is not numbers; [M, 3] in degrees was wanted") from None
+        raise InputError(
+            "geometries_deg: expected numbers [M, 3] in degrees, got values that are not numbers"
+        ) from None
     if angles.ndim != 2 or angles.shape[1] != 3 or not len(angles):
-        raise InputError(f"geometries_deg has shape {list(angles.shape)}; [M, 3] was wanted")
+        raise InputError(f"geometries_deg: expected shape [M, 3], got {list(angles.shape)}")
     limits = np.array([[0.0, 90.0], [-90.0, 90.0], [-90.0, 90.0]])
     wrong = ~((angles >= limits[:, 0]) & (angles <= limits[:, 1])).all(axis=1)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            f"geometries_deg row {row + 1} is {angles[row].tolist()}; incidence 0…90, receiving "
-            "and tilt -90…90 degrees were wanted"
+            f"geometries_deg row {row + 1}: expected incidence 0…90, receiving and tilt -90…90 "
+            f"degrees, got {angles[row].tolist()}"
         )
     return angles

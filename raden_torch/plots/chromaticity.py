@@ -13,7 +13,15 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.plots.cuts import SLAB_DEG, Cut, NotMeasuredError, in_words
-from raden_torch.plots.look import FAINT, INK, SMALL, brightest, finish, say_missing, true_colour
+from raden_torch.plots.plot_style import (
+    FAINT,
+    INK,
+    SMALL,
+    brightest,
+    finish,
+    say_missing,
+    true_colour,
+)
 from raden_torch.plots.view import View, view_of
 
 _MARK_EVERY_DEG = 10.0

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.compare import Comparison, compare
-from raden_torch.plots.look import INK, SMALL, TEXT, families, finish, printable, say_missing
+from raden_torch.plots.plot_style import INK, SMALL, TEXT, families, finish, printable, say_missing
 from raden_torch.reflectance.regions import REGIONS
 
 _INCIDENCES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0)

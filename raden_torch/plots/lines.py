@@ -9,7 +9,7 @@ from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots.cuts import OUTSIDE_DEG, Cut, NotMeasuredError
-from raden_torch.plots.look import (
+from raden_torch.plots.plot_style import (
     FACTOR_LABEL,
     FAINT,
     INK,

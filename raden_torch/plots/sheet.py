@@ -20,7 +20,7 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots.chromaticity import plot_path
 from raden_torch.plots.cuts import ANGLE_LIMITS_DEG
 from raden_torch.plots.lines import plot_in_plane, plot_over_tilt
-from raden_torch.plots.look import INK, TEXT, families, printable
+from raden_torch.plots.plot_style import INK, TEXT, families, printable
 from raden_torch.plots.surfaces import plot_diffuse_surface, plot_specular_surface
 from raden_torch.plots.view import View, view_of
 
@@ -113,9 +113,9 @@ def _check_figures(figures: Sequence[str]) -> tuple[str, ...]:
     wanted = (figures,) if isinstance(figures, str) else tuple(map(str, figures))
     for name in wanted:
         if name not in FIGURES:
-            raise InputError(f"plot: figure {name!r} is not known; {', '.join(FIGURES)} are")
+            raise InputError(f"plot: figure: expected one of {', '.join(FIGURES)}, got {name!r}")
     if not wanted:
-        raise InputError(f"plot: no figure was asked for; {', '.join(FIGURES)} are known")
+        raise InputError(f"plot: figures: expected some of {', '.join(FIGURES)}, got none")
     return wanted
 
 
@@ -123,7 +123,7 @@ def _check_angle(name: str, angle: float) -> None:
     of = next((of for of in ANGLE_LIMITS_DEG if of in name), "")
     low, high = ANGLE_LIMITS_DEG[of]
     if not low <= angle <= high:
-        raise InputError(f"plot: {name} = {angle:g}; it must lie in {low:g}…{high:g} degrees")
+        raise InputError(f"plot: {name}: expected {low:g}…{high:g} degrees, got {angle:g}")
 
 
 def _empty_sheet(wanted: tuple[str, ...]) -> tuple[Figure, list[Any]]:

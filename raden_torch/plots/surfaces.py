@@ -11,7 +11,15 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots.cuts import Cut, NotMeasuredError
-from raden_torch.plots.look import INK, SMALL, TEXT, brightest, curves, say_missing, true_colour
+from raden_torch.plots.plot_style import (
+    INK,
+    SMALL,
+    TEXT,
+    brightest,
+    curves,
+    say_missing,
+    true_colour,
+)
 from raden_torch.plots.view import View, view_of
 
 _SYMBOLS = {"incidence": "a", "receiving": "r", "tilt": "t"}
@@ -118,4 +126,4 @@ def _frame(ax: Any, view: View, title: str, over: tuple[str, str], heights: Floa
 
 def _check_3d(ax: Any) -> None:
     if not hasattr(ax, "plot_surface"):
-        raise InputError('plot: ordinary axes; axes with projection="3d" were wanted')
+        raise InputError('plot: expected axes with projection="3d", got ordinary axes')

@@ -96,7 +96,7 @@ def view_of(source: BrdfMeasurement | RadenBrdf | View) -> View:
     if isinstance(source, RadenBrdf):
         return View(source, ModelSamples(source))
     if not source.valid.any():
-        raise InputError("plot: the measurement has no valid reading")
+        raise InputError("plot: expected a measurement with a valid reading, got none")
     readings, bands, colourless = _coloured(source)
     try:
         return View(source, GridSamples(readings.grid()), bands, colourless)

@@ -81,8 +81,8 @@ def _continue_smoothly(grid: AngleGrid, values: Floats, unknown: Bools) -> Float
         return values
     if unknown.sum() > _MAX_UNKNOWN:
         raise InputError(
-            f"measurement: {int(unknown.sum())} missing cells lie beside measured ones; at most "
-            f"{_MAX_UNKNOWN} can be filled; measure more of them or use a coarser grid"
+            f"measurement: expected at most {_MAX_UNKNOWN} missing cells beside measured ones, "
+            f"got {int(unknown.sum())}; measure more of them or use a coarser grid"
         )
     missing = np.isnan(values).any(axis=-1) & ~unknown
     matrix = roughness(grid, missing)

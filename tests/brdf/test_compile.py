@@ -12,7 +12,7 @@ from torch import Tensor
 import raden_torch as rt
 from raden_torch.brdf.model import simd
 from raden_torch.brdf.model.model import CosineDiffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 
 FORMS = [simd.level(), simd.OFF] if simd.LEVELS else [simd.OFF]
 WARM, SIZES = ((6, 5), (7, 9)), ((16, 18), (20, 8), (11, 40))

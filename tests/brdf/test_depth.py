@@ -107,7 +107,10 @@ def test_what_is_wrong_with_a_depth_is_said(tmp_path):
     with pytest.raises(InputError, match=r"z\.exr: no valid pixel.*--depth negative"):
         read_gbuffer(path, fov_deg=40)
     assert bool((read_gbuffer(path, fov_deg=40, depth="negative").mask == 1).all())
-    with pytest.raises(InputError, match="depth kind 'ray'; planar, distance, negative, blender"):
+    with pytest.raises(
+        InputError,
+        match=r"depth kind: expected planar or distance or negative or blender .*, got 'ray'",
+    ):
         read_gbuffer(path, fov_deg=40, depth="ray")
 
 

@@ -138,8 +138,12 @@ def test_missing_foreign_and_empty_files(tmp_path, capfd):
     fails(tmp_path, "directory")
     for data in (b"", b"\x89PNG\r\n\x1a\n" + bytes(99)):
         (tmp_path / "x.exr").write_bytes(data)
-        fails(tmp_path / "x.exr", "not an OpenEXR file")
-        fails(tmp_path / "x.exr", "not an OpenEXR file", read=list_channels)
+        fails(tmp_path / "x.exr", "expected an OpenEXR file, got one that starts with")
+        fails(
+            tmp_path / "x.exr",
+            "expected an OpenEXR file, got one that starts with",
+            read=list_channels,
+        )
     (tmp_path / "x.exr").write_bytes(b"\x76\x2f\x31\x01" + bytes(99))
     fails(tmp_path / "x.exr", "damaged")
     write_channels(tmp_path / "x.exr", {"N.X": RAMP})
@@ -382,7 +386,7 @@ def test_positions_and_a_camera(tmp_path):
     np.testing.assert_array_equal(view[0].numpy(), np.array([0, 0, 5])[:, None, None] - position)
     assert read_gbuffer(path).position is not None
     assert read_gbuffer(path, view=(1, 0, 1)).view.flatten().tolist() == [1, 0, 1]
-    with pytest.raises(InputError, match="one of them"):
+    with pytest.raises(InputError, match="expected view or camera, got both"):
         read_gbuffer(path, camera=(0, 0, 5), view=(0, 0, 1))
     write_channels(path, named("N", "XYZ", bumps()))
     with pytest.raises(InputError, match="no positions"):
@@ -462,9 +466,9 @@ def test_depth_needs_a_camera(tmp_path):
     with pytest.raises(InputError, match="give intrinsics or fov_deg"):
         read_gbuffer(path)
     for wrong in ({"fov_deg": 180}, {"intrinsics": np.zeros((3, 3))}, {"intrinsics": np.eye(2)}):
-        with pytest.raises(InputError, match="was wanted"):
+        with pytest.raises(InputError, match=r"^(fov_deg|intrinsics): expected [^\n]*, got"):
             read_gbuffer(path, **wrong)
-    with pytest.raises(InputError, match="one of them"):
+    with pytest.raises(InputError, match="expected intrinsics or fov_deg, got both"):
         read_gbuffer(path, fov_deg=40, intrinsics=np.eye(3))
     with pytest.raises(InputError, match="at 0, 0, 0"):
         read_gbuffer(path, fov_deg=40, camera=(0, 0, 1))

@@ -103,7 +103,7 @@ def test_too_few_rows_leave_the_old_file(tmp_path) -> None:
     path = tmp_path / "x.exr"
     path.write_bytes(b"old")
     with (
-        pytest.raises(InputError, match="16 rows were given; 301"),
+        pytest.raises(InputError, match="expected 301 rows, got 16"),
         rows_written(path, (H, W)) as add,
     ):
         add({"Y": np.zeros((16, W), np.float16)})
@@ -133,7 +133,7 @@ def test_an_enormous_tile_is_refused_before_memory_is_taken(tmp_path) -> None:
     data = path.read_bytes()
     path.write_bytes(data.replace(struct.pack("<2I", 24, 40), struct.pack("<2I", 2**24, 40)))
     for read in (read_parts, ExrRows):
-        with pytest.raises(InputError, match="tiles of 16777216 x 40"):
+        with pytest.raises(InputError, match=r"tiles: expected .* pixels, got 16777216 x 40"):
             read(path)
 
 

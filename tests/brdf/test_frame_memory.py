@@ -14,7 +14,7 @@ MEASURED = """
 import sys, torch
 import raden_torch as rt
 from raden_torch.brdf.model.model import CosineDiffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 
 def peak():  # of this process; ru_maxrss would begin with the parent's
     with open("/proc/self/status") as status:

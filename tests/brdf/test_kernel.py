@@ -17,7 +17,7 @@ import torch
 import raden_torch as rt
 from raden_torch.brdf.model import kernel, simd
 from raden_torch.brdf.model.model import CosineDiffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 
 needs_kernel = pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
@@ -277,9 +277,14 @@ def test_dtypes(model) -> None:
 
 def test_wrong_devices_are_one_line(model) -> None:
     maps = [m.to("meta") for m in image_maps(4, 4)]
-    with pytest.raises(InputError, match=r"^model .* on cpu, maps on meta.*wanted[^\n]*$"):
+    with pytest.raises(
+        InputError,
+        match=r"^model and maps: expected one device, got .* on cpu, maps on meta[^\n]*$",
+    ):
         model(*maps)
-    with pytest.raises(InputError, match=r"^normal on cpu, light on meta[^\n]*wanted$"):
+    with pytest.raises(
+        InputError, match=r"^maps: expected one device, got normal on cpu, light on meta[^\n]*$"
+    ):
         model(image_maps(4, 4)[0], *maps[1:])
     assert copy.deepcopy(model).to("meta")(*maps).shape == (2, 3, 4, 4)
 
@@ -322,7 +327,7 @@ def test_a_forked_child_has_threads_of_its_own(tmp_path: Path) -> None:
     script.write_text(
         "import os, torch, raden_torch as rt\n"
         "from raden_torch.brdf import kernel\n"
-        "from raden_torch.brdf.model.table import ReflectanceTable\n"
+        "from raden_torch.brdf.model.reflectance_table import ReflectanceTable\n"
         "torch.set_num_threads(2)\n"
         "t = ReflectanceTable(torch.rand(3, 3, 3, 3), (0., -70., -70.), (35., 70., 70.))\n"
         "model, up = rt.RadenBrdf(None, t), torch.tensor([0., 0., 1.]).view(1, 3, 1, 1)\n"

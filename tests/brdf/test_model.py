@@ -18,7 +18,7 @@ from raden_torch.errors import InputError
 def model() -> rt.RadenBrdf:
     """A small random model: every branch is reached, nothing is smooth."""
     from raden_torch.brdf.model.model import Provenance
-    from raden_torch.brdf.model.table import ReflectanceTable
+    from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 
     generator = torch.Generator().manual_seed(0)
     table = torch.rand(8, 15, 15, 3, generator=generator)
@@ -161,7 +161,7 @@ def test_constant_maps_are_broadcast(model, random_vectors) -> None:
 
 
 def test_wrong_shapes_are_one_line(model) -> None:
-    with pytest.raises(InputError, match=r"light \[3, 3, 4, 4\].*broadcast"):
+    with pytest.raises(InputError, match=r"which broadcast, got .*light \[3, 3, 4, 4\]"):
         model(torch.ones(2, 3, 4, 4), torch.ones(3, 3, 4, 4), torch.ones(2, 3, 4, 4))
 
 

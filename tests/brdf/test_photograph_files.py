@@ -25,7 +25,7 @@ from raden_torch.brdf.files.image_file import (
     read_photograph,
     write_photograph,
 )
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.images.exr import read_channels, write_channels
 from raden_torch.pictures import relight_files
@@ -233,7 +233,9 @@ def test_whole_numbers_of_other_sizes(tmp_path: Path) -> None:
 )
 def test_a_suffix_that_cannot_hold_it(tmp_path: Path, levels: int | None, suffix: str) -> None:
     photo = Photograph(torch.zeros(1, 3, H, W), levels)
-    with pytest.raises(InputError, match=r"photograph goes into \.") as caught:
+    with pytest.raises(
+        InputError, match=r"photograph: expected a file name that ends in \."
+    ) as caught:
         write_photograph(photo, tmp_path / f"a{suffix}")
     assert "\n" not in str(caught.value)
 
@@ -405,7 +407,7 @@ def test_a_suffix_is_refused_before_the_work(
 ) -> None:
     save(tmp_path / "a.png", rgba(255))
     monkeypatch.setattr("raden_torch.pictures.relight", None)
-    with pytest.raises(InputError, match=r"goes into \.png.*, not \.webp"):
+    with pytest.raises(InputError, match=r"expected a file name that ends in \.png.*, got \.webp"):
         relight_files([tmp_path / "a.png"], output=tmp_path / "b.webp", **scene)
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from raden_torch.brdf.files.display import auto_exposure_ev, to_display, write_picture
-from raden_torch.brdf.shading.shapes import average_samples, sphere
+from raden_torch.brdf.shading.sphere_gbuffer import average_samples, sphere
 from raden_torch.errors import InputError
 
 
@@ -67,7 +67,10 @@ def test_picture_file(tmp_path: Path) -> None:
     plain, labelled = (cv2.imread(str(tmp_path / f"{n}.png")) for n in "ab")
     assert (plain != labelled).any(axis=2)[40:].sum() > 100
     assert np.array_equal(plain[:30], labelled[:30])
-    for wrong, words in (("a.bmp", "suffix .bmp"), ("none/a.png", "does not exist")):
+    for wrong, words in (
+        ("a.bmp", "suffix: expected one of .*, got .bmp"),
+        ("none/a.png", "expected an existing folder"),
+    ):
         with pytest.raises(InputError, match=words):
             write_picture(picture, tmp_path / wrong)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "b.png"]

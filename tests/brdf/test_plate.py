@@ -46,7 +46,7 @@ def test_pieces_do_not_overlap_and_fill_their_circles() -> None:
 
 
 def test_wrong_plates_are_refused() -> None:
-    with pytest.raises(InputError, match="not above the plate"):
+    with pytest.raises(InputError, match=r"expected z > 0.5, above the plate, got"):
         plate(32, (0, -3, 0.1))
     with pytest.raises(InputError, match="16384"):
         plate(20_000)

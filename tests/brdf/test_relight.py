@@ -18,7 +18,7 @@ from raden_torch.brdf.files.image_file import (
     read_photograph,
     write_photograph,
 )
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading.relight import lamp_ring, matching_gain, relight, relit_strip
 from raden_torch.errors import InputError
 
@@ -167,16 +167,22 @@ def test_masks(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), with_alpha)
     assert torch.equal(read_mask(tmp_path / "a.png"), read_mask(tmp_path / "m.png"))
     cv2.imwrite(str(tmp_path / "none.png"), grey * 0)
-    with pytest.raises(InputError, match="mask is empty"):
+    with pytest.raises(
+        InputError, match="expected a mask that is white on the object, got an empty one"
+    ):
         read_mask(tmp_path / "none.png")
 
 
 def test_sizes_that_differ_are_named(lambertian) -> None:
     normal, mask = ball()
     lamp = [rt.DirectionalLight((0, 0, 1))]
-    with pytest.raises(InputError, match="normals: 64 x 64 pixels, the photograph has 32 x 32"):
+    with pytest.raises(
+        InputError, match="normals: expected the photograph's 32 x 32 pixels, got 64 x 64"
+    ):
         relight(lambertian, photo(32), normal, mask, lamp)
-    with pytest.raises(InputError, match="mask: shape"):
+    with pytest.raises(
+        InputError, match=r"mask: expected shape \[B, 1, H, W\], got \[1, 3, 64, 64\]"
+    ):
         relight(lambertian, photo(64), normal, normal, lamp)
     with pytest.raises(InputError, match="empty"):
         relight(lambertian, photo(64), normal, mask * 0, lamp)

@@ -11,7 +11,7 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
-from raden_torch.brdf.shading.stress import invalid_vectors, regions, worst_errors
+from raden_torch.brdf.shading.stress_geometries import invalid_vectors, regions, worst_errors
 
 NOISY = {"L near V, too near", "L near V, not unit"}
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 from scipy.interpolate import RegularGridInterpolator
 
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 
 FIRST, STEP, SHAPE = (0.0, -30.0, -20.0), (5.0, 10.0, 4.0), (4, 7, 11)
@@ -108,7 +108,7 @@ def test_a_baked_table_is_read_along_the_ridge(dtype: torch.dtype, tolerance: fl
 
 def test_wrong_pieces_are_refused() -> None:
     values = torch.ones(3, 4, 5, 3)
-    with pytest.raises(InputError, match="3 nodes on axis 0; 4 were wanted"):
+    with pytest.raises(InputError, match="axis 0: expected 4 nodes for its pieces, got 3"):
         ReflectanceTable(values, FIRST, STEP, ((1, 2), (1, 1, 1), (1, 1, 1, 1)))
     with pytest.raises(InputError, match="more cells along"):
         ReflectanceTable(torch.ones(3, 3, 5, 3), FIRST, STEP, ((1, 1), (1, 1), (1, 1, 1, 1)))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import raden_torch as rt
 from raden_torch.brdf.model import kernel, simd
 from raden_torch.brdf.model.model import CosineDiffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading.lit_sphere import lit_sphere
 from raden_torch.errors import InputError
 
@@ -189,5 +189,7 @@ def test_the_upper_bound_is_one(model, gains, random_vectors) -> None:
 
 @pytest.mark.parametrize("tolerance", [-1.0, float("nan"), float("inf")])
 def test_a_wrong_tolerance_is_one_line(model, tolerance) -> None:
-    with pytest.raises(InputError, match=r"^tolerance: expected [^\n]*$"):
+    with pytest.raises(
+        InputError, match=r"^tolerance: expected a radiance of 0 or more, got [^\n]*$"
+    ):
         rt.shade(model, plate(4, 4), distant(1), tolerance=tolerance)

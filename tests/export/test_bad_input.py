@@ -43,11 +43,14 @@ def unchecked(path: Path) -> onnx.ModelProto:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"profile": "forward"}, ("profile 'forward'", "gbuffer, scene")),
-        ({"output": "albedo"}, ("output 'albedo'", "radiance, brdf")),
-        ({"profile": "scene", "output": "brdf"}, ("scene", "radiance only")),
-        ({"opset": 17}, ("opset 17", "18 to")),
-        ({"opset": 99}, ("opset 99", "18 to")),
+        ({"profile": "forward"}, ("profile: expected", "gbuffer, scene, got 'forward'")),
+        ({"output": "albedo"}, ("output: expected", "radiance, brdf, got 'albedo'")),
+        (
+            {"profile": "scene", "output": "brdf"},
+            ("expected radiance from the scene profile", "got 'brdf'"),
+        ),
+        ({"opset": 17}, ("opset: expected 18 to 21, got 17",)),
+        ({"opset": 99}, ("opset: expected 18 to 21, got 99",)),
     ],
 )
 def test_options(matt: rt.RadenBrdf, tmp_path: Path, options: dict, words: tuple[str, ...]) -> None:
@@ -59,8 +62,11 @@ def test_options(matt: rt.RadenBrdf, tmp_path: Path, options: dict, words: tuple
     [
         (lambda m: m.half(), ("diffuse.scale", "float16", "model.float()")),
         (lambda m: m.bfloat16(), ("bfloat16",)),
-        (lambda m: m.to("meta"), ("on meta", "model.cpu()")),
-        (lambda m: m.diffuse.scale.data.fill_(torch.nan), ("not finite",)),
+        (lambda m: m.to("meta"), ("expected device cpu, got meta", "model.cpu()")),
+        (
+            lambda m: m.diffuse.scale.data.fill_(torch.nan),
+            ("diffuse.scale: expected finite values",),
+        ),
     ],
 )
 def test_models(matt: rt.RadenBrdf, tmp_path: Path, change: Callable, words: tuple) -> None:
@@ -71,8 +77,14 @@ def test_models(matt: rt.RadenBrdf, tmp_path: Path, change: Callable, words: tup
 
 def test_paths(matt: rt.RadenBrdf, tmp_path: Path) -> None:
     (tmp_path / "folder.onnx").mkdir()
-    refused(tmp_path, lambda: export_onnx(matt, tmp_path / "folder.onnx"), "is a folder")
-    refused(tmp_path, lambda: export_onnx(matt, tmp_path / "no/x.onnx"), "does not exist")
+    refused(
+        tmp_path,
+        lambda: export_onnx(matt, tmp_path / "folder.onnx"),
+        "expected a file name, got a folder",
+    )
+    refused(
+        tmp_path, lambda: export_onnx(matt, tmp_path / "no/x.onnx"), "expected an existing folder"
+    )
 
 
 @pytest.mark.parametrize("package", ["onnxruntime", "onnx", "onnxscript"])
@@ -110,7 +122,7 @@ def test_a_wrong_picture_is_not_kept(
     logarithm.op_type = "Sin"
     monkeypatch.setattr(export_module, "_graph", lambda *_: graph)
     call = lambda: export_onnx(matt, tmp_path / "x.onnx", output="brdf")  # noqa: E731
-    refused(tmp_path, call, "not written", "another picture")
+    refused(tmp_path, call, "not written", "expected an image within")
     onnx.save(graph, tmp_path / "wrong.onnx")
     refused(tmp_path, lambda: verify_onnx(tmp_path / "wrong.onnx"), "wrong.onnx: onnxruntime")
 
@@ -123,7 +135,7 @@ def test_files_that_are_not_ours(tmp_path: Path) -> None:
     (tmp_path / "empty.onnx").write_bytes(b"")
     (tmp_path / "text.onnx").write_text("not a model")
     verify = lambda name: lambda: verify_onnx(tmp_path / name)  # noqa: E731
-    refused(tmp_path, verify("foreign.onnx"), "foreign.onnx", "not a shader of raden_torch")
+    refused(tmp_path, verify("foreign.onnx"), "foreign.onnx", "expected a shader of raden_torch")
     refused(tmp_path, verify("empty.onnx"), "empty.onnx", "not a valid ONNX file")
     refused(tmp_path, verify("text.onnx"), "text.onnx", "not a valid ONNX file")
     refused(tmp_path, verify("missing.onnx"), "missing.onnx", "No such file")

@@ -11,8 +11,8 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.model.table import ReflectanceTable
-from raden_torch.brdf.shading.shapes import sphere
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
+from raden_torch.brdf.shading.sphere_gbuffer import sphere
 from raden_torch.export.check import LIMITS
 from raden_torch.export.export import verify_onnx
 from raden_torch.export.onnx_file import metadata

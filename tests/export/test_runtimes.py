@@ -15,7 +15,7 @@ import raden_torch as rt
 from raden_torch.export.check import ExportReport, StressSet
 from raden_torch.export.constants import fix_parameters, is_fixed
 from raden_torch.export.export import verify_onnx
-from raden_torch.export.runtimes import Runtime, Skipped, load_others
+from raden_torch.export.runtimes import Runtime, SkippedRuntime, load_others
 from raden_torch.export.workers.worker import PROGRAMS, Worker, WorkerError
 
 INSTALLED = Path(__file__).resolve().parents[2] / "runtimes"
@@ -96,8 +96,8 @@ def test_a_worker_says_what_is_wrong(exported: Callable, shell: rt.RadenBrdf) ->
 
 
 def test_what_is_not_installed_is_skipped_with_a_reason(tmp_path: Path) -> None:
-    def reasons(found: Sequence[Runtime | Skipped]) -> dict[str, str]:
-        return {r.name: r.reason for r in found if isinstance(r, Skipped)}
+    def reasons(found: Sequence[Runtime | SkippedRuntime]) -> dict[str, str]:
+        return {r.name: r.reason for r in found if isinstance(r, SkippedRuntime)}
 
     found = reasons(list(load_others(b"", node_modules=tmp_path, pythons=[tmp_path / "a/b/c"])))
     assert "No such file" in found["onnxruntime (a)"]

@@ -64,18 +64,42 @@ def test_one_column_is_a_band(tmp_path: Path, extra: str, band: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("NUM_POINTS 3", "NUM_POINTS 4", "3 readings below VARS, NUM_POINTS is 4"),
-        ("NUM_POINTS 3", "NUM_POINTS 99999999999", "line 4: NUM_POINTS = '99999999999'"),
-        ("NUM_POINTS 3", "NUM_POINTS three", "line 4: NUM_POINTS = 'three'"),
-        ("30,0,0,0,0,1\n", "30,0,0,0\n", "line 8: 4 numbers, 6 were wanted"),
-        ("30,0,0,0,0,1\n", "30,0,0,0,0,x\n", "line 8, column 450nm: 'x' is not a number"),
-        ("30,0,0,0,0,1\n", "30,0,0,nan,0,1\n", "line 8, column phi_s: 'nan' is not a number"),
-        ("30,0,0,0,0,1\n", "30,0,999,0,0,1\n", "reading 3, column theta_s: 999; at most 180"),
-        ("phi_s,", "", "line 5: VARS: phi_s missing"),
-        ("550nm,450nm", "550nm,550nm", "line 5: VARS: a name twice"),
-        ("550nm,450nm", "a,b", "line 5: VARS: channels a, b; X,Y,Z or R,G,B or bands"),
-        ("VARS theta", "vars theta", "line 5: .*; a KEYWORD and its value, or VARS, was wanted"),
-        (DEGREES[len(HEAD) :], "", "it has no line 'VARS theta_i,phi_i,theta_s,phi_s,<channels>'"),
+        ("NUM_POINTS 3", "NUM_POINTS 4", "expected 4 readings \\(NUM_POINTS\\) below VARS, got 3"),
+        (
+            "NUM_POINTS 3",
+            "NUM_POINTS 99999999999",
+            "line 4: NUM_POINTS: expected a whole number .*, got '99999999999'",
+        ),
+        (
+            "NUM_POINTS 3",
+            "NUM_POINTS three",
+            "line 4: NUM_POINTS: expected a whole number .*, got 'three'",
+        ),
+        ("30,0,0,0,0,1\n", "30,0,0,0\n", "line 8: expected 6 numbers, got 4"),
+        ("30,0,0,0,0,1\n", "30,0,0,0,0,x\n", "line 8, column 450nm: expected a number, got 'x'"),
+        (
+            "30,0,0,0,0,1\n",
+            "30,0,0,nan,0,1\n",
+            "line 8, column phi_s: expected a number, got 'nan'",
+        ),
+        (
+            "30,0,0,0,0,1\n",
+            "30,0,999,0,0,1\n",
+            "reading 3, column theta_s: expected at most 180 degrees, got 999",
+        ),
+        ("phi_s,", "", "line 5: VARS: .*, got no phi_s"),
+        ("550nm,450nm", "550nm,550nm", "line 5: VARS: .*, got a name twice"),
+        (
+            "550nm,450nm",
+            "a,b",
+            "line 5: VARS: channels: expected X,Y,Z or R,G,B or bands .*, got a, b",
+        ),
+        ("VARS theta", "vars theta", "line 5: expected a KEYWORD and its value, or VARS, got "),
+        (
+            DEGREES[len(HEAD) :],
+            "",
+            "expected a line 'VARS theta_i,phi_i,theta_s,phi_s,<channels>', got none",
+        ),
     ],
 )
 def test_bad_input_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:

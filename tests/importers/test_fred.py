@@ -93,19 +93,37 @@ def test_one_direction_twice_is_averaged_and_counted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("type bsdf_data\n", r"line 2: 'format angles="),
-        ("type bsdf_data\nformat angles=rad bsdf=value scale=1\n", r"line 2: 'format angles="),
-        ("type bsdf_data\nformat angles=deg bsdf=value scale=x\n", r"line 2, column scale: 'x'"),
-        (HEAD, "no readings below its header; the file is truncated"),
-        (HEAD + "30 0\n", "no readings below its header"),
-        (HEAD + "30 0 1\n", "line 3: a reading before any specular direction"),
-        (HEAD + "30 0\n30 0 one\n", r"line 4, column 3: 'one' is not a number"),
-        (HEAD + "30 0\n30 0 nan\n", r"line 4, column 3: 'nan' is not a number"),
-        (HEAD + "30 0\n30 0 1 2\n", "line 4: 4 numbers; 2 .* or 3"),
-        (HEAD + "30 0\n3000 0 1\n", "line 4, column 1: polar angle '3000'; at most 360"),
-        (HEAD + "30 0\n120 0 1\n", "in none of its 1 readings"),
-        (HEAD + "30 0\n30 0 1e308\n", "650nm|550nm is infinite in reading 1"),
-        (HEAD.replace("deg", "sin") + "0 2\n0 0 1\n", "line 3: 0, 2 are no direction cosines"),
+        ("type bsdf_data\n", r"line 2: expected 'format angles="),
+        (
+            "type bsdf_data\nformat angles=rad bsdf=value scale=1\n",
+            r"line 2: expected 'format angles=",
+        ),
+        (
+            "type bsdf_data\nformat angles=deg bsdf=value scale=x\n",
+            r"line 2, column scale: expected a number, got 'x'",
+        ),
+        (HEAD, "expected readings below its header, got none: the file is truncated"),
+        (HEAD + "30 0\n", "expected readings below its header, got none"),
+        (HEAD + "30 0 1\n", "line 3: expected a specular direction .*, got a reading before any"),
+        (HEAD + "30 0\n30 0 one\n", r"line 4, column 3: expected a number, got 'one'"),
+        (HEAD + "30 0\n30 0 nan\n", r"line 4, column 3: expected a number, got 'nan'"),
+        (HEAD + "30 0\n30 0 1 2\n", "line 4: expected 2 numbers .* or 3 .*, got 4"),
+        (
+            HEAD + "30 0\n3000 0 1\n",
+            "line 4, column 1: polar angle: expected at most 360 degrees, got '3000'",
+        ),
+        (
+            HEAD + "30 0\n120 0 1\n",
+            "expected a reflection measurement, got 1 readings, in none of which",
+        ),
+        (
+            HEAD + "30 0\n30 0 1e308\n",
+            "reading 1: (650nm|550nm): expected a finite value, got infinity",
+        ),
+        (
+            HEAD.replace("deg", "sin") + "0 2\n0 0 1\n",
+            "line 3: expected direction cosines, .*, got 0, 2",
+        ),
     ],
 )
 def test_bad_input_is_one_line(tmp_path: Path, text: str, message: str) -> None:
@@ -127,5 +145,5 @@ def test_a_file_too_large_is_refused_unread(tmp_path: Path) -> None:
     path = written(tmp_path, HEAD + "\n" * 70_000)
     with path.open("ab") as file:
         file.truncate(100_000_001)
-    with pytest.raises(InputError, match="at most 100 MB are read"):
+    with pytest.raises(InputError, match="expected at most 100 MB, got "):
         load_measurement(path)

@@ -99,19 +99,55 @@ def test_angles_and_values_are_the_instruments(tmp_path: Path, text: str, ends: 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("Theta Lighting\t30\n", "Theta Lighting\tup\n", "line 11, column 2: 'up' is not"),
-        ("Theta Lighting\t30\n", "Theta Lighting\t120\n", "line 11: Theta Lighting 120; 0…90"),
-        ("0\t50\t40\n", "0\t50\n", "line 13: 2 numbers; an angle and 2 values were wanted"),
-        ("0\t50\t40\n", "0\t50\tx\n", "line 13, column 3: 'x' is not a number"),
-        ("0\t50\t40\n", "5\t50\t40\n", "line 13, column 1: 5; by its header 0 degrees"),
-        ("30\t60\t-1\n\t\t\n", "", r"header claims 3 rows, 3 lines follow|line 14: 0 numbers"),
-        ("Phi measure step :\t10", "Phi measure step :\t0", "line 8: Phi from -90 to -80 by 0"),
-        ("step :\t30", "step :\t1e-9", "line 5: Theta from -30 to 30 by 1e-09 is no row of"),
-        ("step :\t30", "step :\t1e-320", "line 5: Theta from -30 to 30 by .* is no row of"),
-        ("Theta measure step :\t30\t\n", "", "from line 1: no 'Theta measure step :' before"),
-        ("Intensity BRDF", "Intensity BTDF", "line 3: 'Intensity BTDF'; 'Intensity BRDF' was"),
-        ("Theta Lighting\t30\n", "", "line 11: .*; a 'key : value' line or 'Theta Lighting'"),
-        ("-30\t1\t2\n0\t50\t40\n30\t60\t-1", "-30\t0\t0\n0\t0\t0\n30\t0\t0", "values are 0"),
+        (
+            "Theta Lighting\t30\n",
+            "Theta Lighting\tup\n",
+            "line 11, column 2: expected a number, got 'up'",
+        ),
+        (
+            "Theta Lighting\t30\n",
+            "Theta Lighting\t120\n",
+            "line 11: Theta Lighting: expected 0…90 degrees, got 120",
+        ),
+        ("0\t50\t40\n", "0\t50\n", "line 13: expected an angle and 2 values, got 2 numbers"),
+        ("0\t50\t40\n", "0\t50\tx\n", "line 13, column 3: expected a number, got 'x'"),
+        (
+            "0\t50\t40\n",
+            "5\t50\t40\n",
+            "line 13, column 1: expected 0 degrees by the file's header, got 5",
+        ),
+        (
+            "30\t60\t-1\n\t\t\n",
+            "",
+            r"expected 3 rows by its header, got 3 lines|line 14: .*, got 0 numbers",
+        ),
+        ("Phi measure step :\t10", "Phi measure step :\t0", "line 8: Phi: .*, got -90 to -80 by 0"),
+        (
+            "step :\t30",
+            "step :\t1e-9",
+            "line 5: Theta: expected a row of .*, got -30 to 30 by 1e-09",
+        ),
+        ("step :\t30", "step :\t1e-320", "line 5: Theta: expected a row of .*, got -30 to 30 by "),
+        (
+            "Theta measure step :\t30\t\n",
+            "",
+            "from line 1: expected 'Theta measure step :' before .*, got none",
+        ),
+        (
+            "Intensity BRDF",
+            "Intensity BTDF",
+            "line 3: expected 'Intensity BRDF', got 'Intensity BTDF'",
+        ),
+        (
+            "Theta Lighting\t30\n",
+            "",
+            "line 11: expected a 'key : value' line or 'Theta Lighting' with its rows, got ",
+        ),
+        (
+            "-30\t1\t2\n0\t50\t40\n30\t60\t-1",
+            "-30\t0\t0\n0\t0\t0\n30\t0\t0",
+            "expected a measurement, got values that are all 0",
+        ),
     ],
 )
 def test_bad_lighttools_input_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -119,24 +155,39 @@ def test_bad_lighttools_input_is_one_line(tmp_path: Path, old: str, new: str, me
 
 
 def test_a_lighttools_file_cut_in_its_header_is_refused(tmp_path: Path) -> None:
-    check_refused(written(tmp_path, LIGHTTOOLS + LIGHTTOOLS[:40]), "block from line 16; it is")
+    check_refused(
+        written(tmp_path, LIGHTTOOLS + LIGHTTOOLS[:40]),
+        "block from line 16, got the end of the file: it is",
+    )
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("v1.0", "v8.0", "line 1: .*; 'OPTIS - Anisotropic BSDF surface file v1.0' was wanted"),
-        ("Sample 30", "Sample A", "line 2, column 2: 'A' is not a number"),
-        ("Sample 30", "Sample 95", "line 2: incidence 95; 0…90"),
-        ("SampleID", "Id", "line 2: .*; 'SampleID: Sample <incidence>' was wanted"),
+        ("v1.0", "v8.0", "line 1: expected 'OPTIS - Anisotropic BSDF surface file v1.0', got "),
+        ("Sample 30", "Sample A", "line 2, column 2: expected a number, got 'A'"),
+        ("Sample 30", "Sample 95", "line 2: incidence: expected 0…90 degrees, got 95"),
+        ("SampleID", "Id", "line 2: expected 'SampleID: Sample <incidence>', got "),
         ("1\t0\n0\n", "0\t1\n0\n", "line 4: .*reflection, no transmission"),
-        ("1\t0\n0\n", "1\t0\n1\n", "line 5: '1'; 0 "),
-        ("Spectrum\n2\n", "Spectrum\n99999999999\n", "line 11: Reflection Spectrum = "),
-        ("Spectrum\n2\n", "Spectrum\n9999\n", "ends where a row of azimuths was wanted"),
-        ("0\t50\t40\n", "0\t50\n", "line 16: 2 numbers; an angle and 2 values"),
-        ("0\t50\t40\n", "0\t50\tx\n", "line 16, column 3: 'x' is not a number"),
-        ("\n0\t50\t40", "\n900\t50\t40", "angle 900; at most 360"),
-        ("\n\n\t0\t180\t190\n0\t0\t0\t0\n30\t0\t0\t0\n", "\n\n", "a second table was wanted"),
+        ("1\t0\n0\n", "1\t0\n1\n", "line 5: expected 0 .*, got '1'"),
+        (
+            "Spectrum\n2\n",
+            "Spectrum\n99999999999\n",
+            "line 11: Reflection Spectrum: expected a whole number ",
+        ),
+        (
+            "Spectrum\n2\n",
+            "Spectrum\n9999\n",
+            "expected a row of azimuths, got the end of the block",
+        ),
+        ("0\t50\t40\n", "0\t50\n", "line 16: expected an angle and 2 values, got 2 numbers"),
+        ("0\t50\t40\n", "0\t50\tx\n", "line 16, column 3: expected a number, got 'x'"),
+        ("\n0\t50\t40", "\n900\t50\t40", "angle: expected at most 360 degrees, got 900"),
+        (
+            "\n\n\t0\t180\t190\n0\t0\t0\t0\n30\t0\t0\t0\n",
+            "\n\n",
+            "expected a second table, got the end",
+        ),
     ],
 )
 def test_bad_speos_input_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -147,7 +198,7 @@ def test_bad_speos_input_is_one_line(tmp_path: Path, old: str, new: str, message
 @pytest.mark.parametrize("lines", range(2, 18))
 def test_a_speos_file_cut_after_any_line_is_refused(tmp_path: Path, lines: int) -> None:
     text = "\n".join(SPEOS.splitlines()[:lines])
-    check_refused(written(tmp_path, text), "ends where|is not")
+    check_refused(written(tmp_path, text), "got the end of the block|got '")
 
 
 def check_refused(path: Path, message: str) -> None:

@@ -125,18 +125,34 @@ def test_tristimulus_sections_and_sample_rotations(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("DataEnd\n", "", "it ends where 'DataEnd' was wanted"),
-        ("0.4 0.1 0.1\nDataEnd\n", "", "it ends where a row of 3 values was wanted"),
-        ("ScatterAzimuth  3\n", "ScatterAzimuth  4\n", "line 12: 3 angles of .*, 4 were wanted"),
-        ("ScatterAzimuth  3\n", "ScatterAzimuth  -3\n", "line 11: .* = '-3'; a whole number"),
-        ("ScatterAzimuth  3\n", "ScatterAzimuth  9999999999\n", "line 11: .*1…10000 was wanted"),
-        ("0 90 180", "0 90 1e3", "line 12, column 3: ScatterAzimuth 1000; 0…360 degrees"),
-        ("0.4 0.2 0.1", "0.4 low 0.1", "line 20, column 2: 'low' is not a number"),
-        ("0.4 0.2 0.1", "0.4 inf 0.1", "line 20, column 2: 'inf' is not a number"),
-        ("0.4 0.2 0.1", "0.4 0.2", "line 20: 2 values, 3 were wanted|at most"),
-        ("BRDF", "BTDF", "line 6: ScatterType 'BTDF'; BRDF was wanted"),
-        ("TIS 0.5", "0.5", "line 18: '0.5'; 'TIS <number>' was wanted"),
-        ("SampleRotation  1\n", "", "line 7: '0'; 'SampleRotation <number of angles>' was wanted"),
+        ("DataEnd\n", "", "expected 'DataEnd', got the end of the file"),
+        ("0.4 0.1 0.1\nDataEnd\n", "", "expected a row of 3 values, got the end of the file"),
+        ("ScatterAzimuth  3\n", "ScatterAzimuth  4\n", "line 12: expected 4 angles of .*, got 3"),
+        (
+            "ScatterAzimuth  3\n",
+            "ScatterAzimuth  -3\n",
+            "line 11: .*expected a whole number .*, got '-3'",
+        ),
+        (
+            "ScatterAzimuth  3\n",
+            "ScatterAzimuth  9999999999\n",
+            "line 11: .*expected a whole number 1…10000, got '9999999999'",
+        ),
+        (
+            "0 90 180",
+            "0 90 1e3",
+            "line 12, column 3: ScatterAzimuth: expected 0…360 degrees, got 1000",
+        ),
+        ("0.4 0.2 0.1", "0.4 low 0.1", "line 20, column 2: expected a number, got 'low'"),
+        ("0.4 0.2 0.1", "0.4 inf 0.1", "line 20, column 2: expected a number, got 'inf'"),
+        ("0.4 0.2 0.1", "0.4 0.2", "line 20: expected 3 values, got 2|at most"),
+        ("BRDF", "BTDF", "line 6: ScatterType: expected BRDF, got 'BTDF'"),
+        ("TIS 0.5", "0.5", "line 18: expected 'TIS <number>', got '0.5'"),
+        (
+            "SampleRotation  1\n",
+            "",
+            "line 7: expected 'SampleRotation <number of angles>', got '0'",
+        ),
     ],
 )
 def test_bad_input_is_one_line(tmp_path: Path, old: str, new: str, message: str) -> None:
@@ -153,5 +169,7 @@ def test_a_header_that_claims_too_much_takes_no_memory(tmp_path: Path) -> None:
     text = TEXT.replace("ScatterAzimuth  3\n0 90 180", f"ScatterAzimuth  10000\n{many}")
     text = text.replace("ScatterRadial  3\n0 10 70", f"ScatterRadial  10000\n{many}")
     text = text.replace("AngleOfIncidence  1\n30", f"AngleOfIncidence  10000\n{many}")
-    with pytest.raises(InputError, match="header claims 1 x 10000 x 10000 x 10000 values"):
+    with pytest.raises(
+        InputError, match="expected 1 x 10000 x 10000 x 10000 values by its header, got at most"
+    ):
         load_measurement(written(tmp_path, text))

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.compare import compare
 from raden_torch.measurement.consistency import Chi2, Covariance
 from raden_torch.measurement.error_parts import zero_effects
+from raden_torch.measurement.systematic_errors import SystematicErrors
 from raden_torch.reflectance.regions import REGIONS, regions
 from raden_torch.reflectance.slopes import slopes_per_deg
 
@@ -29,7 +29,7 @@ def noisy(
         truth,
         values=factor * truth.values + noise,
         std=std,
-        metadata=replace(truth.metadata, common=CommonErrors(**common)),
+        metadata=replace(truth.metadata, systematic=SystematicErrors(**common)),
     )
 
 
@@ -78,8 +78,8 @@ def test_p_values_are_calibrated(small) -> None:
 def test_zeros_that_are_off_as_stated_are_no_contradiction(analytic) -> None:
     """One zero for all readings: added to each cell's variance, χ² would be far from its dof."""
     truth, rng = analytic(step=7.0), np.random.default_rng(2)
-    common = CommonErrors(zero_std_deg=(0.2, 0.2, 0.2), white_deg=(45.0, 0.0, 0.0))
-    stated = replace(truth, metadata=replace(truth.metadata, common=common))
+    common = SystematicErrors(zero_std_deg=(0.2, 0.2, 0.2), white_deg=(45.0, 0.0, 0.0))
+    stated = replace(truth, metadata=replace(truth.metadata, systematic=common))
     effects = zero_effects(stated)
 
     def measured() -> BrdfMeasurement:
@@ -169,7 +169,7 @@ def test_channels_that_differ_are_compared_in_xyz(analytic) -> None:
 def test_what_cannot_be_compared_is_refused(analytic) -> None:
     m = analytic(step=35.0)
     other = replace(m, metadata=Metadata(white="D50"))
-    with pytest.raises(InputError, match="whites are D65 and D50"):
+    with pytest.raises(InputError, match="white: expected the same in both, got D65 and D50"):
         compare(m, other)
     far = BrdfMeasurement([85.0], [85.0], [80.0], np.ones((1, 3)))
     with pytest.raises(InputError, match="no geometries in common"):

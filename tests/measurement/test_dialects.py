@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 import raden_torch as rt
-from raden_torch.capture.spectrometer.cells import list_cells
 from raden_torch.capture.spectrometer.ports import Position
+from raden_torch.capture.spectrometer.scan_cells import list_cells
 from raden_torch.capture.spectrometer.white_file import xyz_at
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
@@ -234,21 +234,24 @@ def tabs(rows: str) -> str:
 AMBIGUOUS = {
     "decimal commas between commas": (
         HEADER + "0,-70,0,19,5,20,1,21,8\n",
-        "line 2: 9 values, 6 were wanted; decimal commas cannot be told",
+        "line 2: expected 6 values, got 9; decimal commas cannot be told",
     ),
     "quoted decimal commas between commas": (
         HEADER + '0,-70,0,"19,5",20,21\n',
-        "line 2, column X: '19,5' is not a number",
+        "line 2, column X: expected a number, got '19,5'",
     ),
     "thousands": (
         semicolons("0;-70;0;1.234,5;20,1;21,8\n"),
-        "line 2, column X: '1.234,5' is not a number; thousands separators are not read",
+        "line 2, column X: expected a number, got '1.234,5'; thousands separators are not read",
     ),
     "thousands with a space": (
         semicolons("0;-70;0;1 234,5;20,1;21,8\n"),
-        "'1 234,5' is not a number; thousands separators are not read",
+        "expected a number, got '1 234,5'; thousands separators are not read",
     ),
-    "thousands twice": (semicolons("0;-70;0;1,234,567;1,5;2\n"), "'1,234,567' is not a number"),
+    "thousands twice": (
+        semicolons("0;-70;0;1,234,567;1,5;2\n"),
+        "expected a number, got '1,234,567'",
+    ),
     "commas and points": (
         semicolons("0;-70;0;19,5;20,1;21,8\n5;-70;0;19,5;20.1;21,8\n"),
         "line 2, column X: '19,5' has a decimal comma, '20.1' in line 3, column Y a decimal point",
@@ -269,10 +272,19 @@ AMBIGUOUS = {
         "sep=;\n" + HEADER + "0,0,0,1,2,3\n",
         "sep=;: expected the separator of the columns, comma",
     ),
-    "an open quote": (HEADER + '0,0,0,1,2,"3\n', "line 2: a quote is not closed"),
-    "a spreadsheet's error": (HEADER + "0,0,0,1,2,#N/A\n", "column Z: '#N/A' is not a number"),
-    "digits with underscores": (HEADER + "0,0,0,1,2,1_0\n", "column Z: '1_0' is not a number"),
-    "a row of another length": (semicolons("0;0;0;1;2\n5;0;0;1;2;3\n"), "line 2: 5 values, 6"),
+    "an open quote": (HEADER + '0,0,0,1,2,"3\n', "line 2: expected a closing quote"),
+    "a spreadsheet's error": (
+        HEADER + "0,0,0,1,2,#N/A\n",
+        "column Z: expected a number, got '#N/A'",
+    ),
+    "digits with underscores": (
+        HEADER + "0,0,0,1,2,1_0\n",
+        "column Z: expected a number, got '1_0'",
+    ),
+    "a row of another length": (
+        semicolons("0;0;0;1;2\n5;0;0;1;2;3\n"),
+        "line 2: expected 6 values, got 5",
+    ),
     "Shift-JIS or Windows-1252": (
         "# 夜\n".encode("cp932") + (HEADER + "0,0,0,1,2,3\n").encode(),
         "line 1: byte 0x96 is not UTF-8, and the file is not clearly Shift-JIS or Windows-1252",

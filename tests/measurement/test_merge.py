@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata, native_csv
-from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.compare import compare
 from raden_torch.measurement.merge import merge
+from raden_torch.measurement.systematic_errors import SystematicErrors
 
 
 def readings(seed: int, n: int = 40, **common) -> BrdfMeasurement:
@@ -28,7 +28,7 @@ def readings(seed: int, n: int = 40, **common) -> BrdfMeasurement:
         *angles.T,
         values=truth + std * rng.standard_normal(truth.shape),
         std=std,
-        metadata=Metadata(f"shell {seed}", simulated=True, common=CommonErrors(**common)),
+        metadata=Metadata(f"shell {seed}", simulated=True, systematic=SystematicErrors(**common)),
     )
 
 
@@ -49,7 +49,9 @@ def test_the_order_does_not_matter(seed: int, scales: list[float]) -> None:
         np.testing.assert_allclose(other.values, first.values, rtol=1e-9)
         np.testing.assert_allclose(other.std, first.std, rtol=1e-9)
         np.testing.assert_array_equal(other.count, first.count)
-        assert other.metadata.common.scale_std == pytest.approx(first.metadata.common.scale_std)
+        assert other.metadata.systematic.scale_std == pytest.approx(
+            first.metadata.systematic.scale_std
+        )
         assert other.metadata.sample == first.metadata.sample
 
 
@@ -101,18 +103,18 @@ def test_the_result_is_as_good_as_it_says() -> None:
 def test_scales_meet_where_their_uncertainties_say() -> None:
     """Twice as uncertain, twice the way… squared: 4 : 1."""
     a = readings(1, n=400, scale_std=0.01)
-    b = replace(scaled(a, 1.05), metadata=Metadata(common=CommonErrors(scale_std=0.02)))
+    b = replace(scaled(a, 1.05), metadata=Metadata(systematic=SystematicErrors(scale_std=0.02)))
     merged = merge([a, b], robust=True)
     first, second = np.log(merged.scale_factors)
     assert second - first == pytest.approx(np.log(1.05), rel=0.02)
     assert -second / first == pytest.approx(4, rel=1e-3)
-    left = merged.measurement.metadata.common.scale_std
+    left = merged.measurement.metadata.systematic.scale_std
     assert left == pytest.approx((0.01**-2 + 0.02**-2) ** -0.5, rel=0.02)
 
 
 def test_one_that_states_no_scale_uncertainty_is_the_scale() -> None:
     a = readings(1, n=400)
-    b = replace(scaled(a, 1.02), metadata=Metadata(common=CommonErrors(scale_std=0.02)))
+    b = replace(scaled(a, 1.02), metadata=Metadata(systematic=SystematicErrors(scale_std=0.02)))
     merged = merge([a, b])
     assert merged.scale_factors == pytest.approx((1.0, 1.02), rel=1e-3)
 
@@ -121,10 +123,12 @@ def test_the_same_white_reference_is_one_error() -> None:
     tile = {"scale_std": 0.01, "scale_reference": "tile 1"}
     merged = merge([readings(1, **tile), readings(2, **tile)])
     assert merged.scale_factors == (pytest.approx(1, abs=1e-6),) * 2
-    assert merged.measurement.metadata.common.scale_std == pytest.approx(0.01)
-    assert merged.measurement.metadata.common.scale_reference == "tile 1"
+    assert merged.measurement.metadata.systematic.scale_std == pytest.approx(0.01)
+    assert merged.measurement.metadata.systematic.scale_reference == "tile 1"
     apart = merge([readings(1, scale_std=0.01), readings(2, scale_std=0.01)])
-    assert apart.measurement.metadata.common.scale_std == pytest.approx(0.01 / np.sqrt(2), rel=0.1)
+    assert apart.measurement.metadata.systematic.scale_std == pytest.approx(
+        0.01 / np.sqrt(2), rel=0.1
+    )
 
 
 def test_contradictions_are_refused_by_name_or_enlarged() -> None:
@@ -155,17 +159,24 @@ def test_a_scatter_over_all_cells_is_refused_too() -> None:
 
 def test_what_has_no_weight_is_refused() -> None:
     a = readings(1)
-    with pytest.raises(InputError, match=r"of shell 1: states no standard deviation"):
+    with pytest.raises(
+        InputError,
+        match=r"of shell 1: expected columns std_X, std_Y, std_Z, got none",
+    ):
         merge([a, replace(a, std=None)])
     gap = a.std.copy()
     gap[3, 1] = np.nan
     place = f"incidence {a.incidence_deg[3]:g}, receiving {a.receiving_deg[3]:g}"
     for b in (a, readings(2)):
-        with pytest.raises(InputError, match=f"no standard deviation at {place}"):
+        with pytest.raises(
+            InputError, match=f"expected a standard deviation at {place}, .*, got none"
+        ):
             merge([replace(a, std=gap), b])
-        with pytest.raises(InputError, match=f"no standard deviation at {place}"):
+        with pytest.raises(
+            InputError, match=f"expected a standard deviation at {place}, .*, got none"
+        ):
             compare(b, replace(a, std=gap))
-    with pytest.raises(InputError, match=r"std_X = -1 in reading 1; at least 0"):
+    with pytest.raises(InputError, match=r"reading 1: std_X: expected at least 0, got -1"):
         replace(a, std=-np.ones_like(gap))
     with pytest.raises(InputError, match="two measurements or more"):
         merge([a])
@@ -174,9 +185,11 @@ def test_what_has_no_weight_is_refused() -> None:
 
 
 def test_what_is_common_survives_the_file(tmp_path: Path) -> None:
-    common = CommonErrors(0.0123456789, "tile 1234", 0.001, (0.05, 0.06, 0.07), (45.0, 0.0, -5.0))
+    common = SystematicErrors(
+        0.0123456789, "tile 1234", 0.001, (0.05, 0.06, 0.07), (45.0, 0.0, -5.0)
+    )
     m = readings(1)
-    m = replace(m, metadata=replace(m.metadata, common=common))
+    m = replace(m, metadata=replace(m.metadata, systematic=common))
     m.save(tmp_path / "m.csv")
     assert native_csv.read(tmp_path / "m.csv") == m
 
@@ -184,11 +197,14 @@ def test_what_is_common_survives_the_file(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("scale_std: much", "scale_std = 'much'; one number"),
-        ("scale_std: 2", "scale_std = 2"),
+        ("scale_std: much", "scale_std: expected one number, got 'much'"),
+        ("scale_std: 2", "scale_std: expected 0…1, got 2"),
         ("scale_std: nan", "one number"),
         ("zero_std_deg: 1 2", "3 numbers"),
-        ("zero_std_deg: 1 2 -3", "zero_std_deg = 1.0 2.0 -3.0"),
+        (
+            "zero_std_deg: 1 2 -3",
+            "zero_std_deg: expected three numbers in 0…10 degrees, got 1.0 2.0 -3.0",
+        ),
         ("white_deg: 90 0 0", "white_deg"),
     ],
 )

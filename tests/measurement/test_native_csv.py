@@ -89,27 +89,51 @@ def test_windows_lines_and_byte_order_mark(tmp_path: Path) -> None:
 
 
 BAD = {
-    "missing column": (HEADER.replace("tilt_deg,", "") + ROWS, "tilt_deg missing"),
-    "radians column": (HEADER.replace("_deg", "_rad") + ROWS, "incidence_deg, receiving_deg"),
+    "missing column": (
+        HEADER.replace("tilt_deg,", "") + ROWS,
+        "expected columns of angles in degrees, got none named tilt_deg",
+    ),
+    "radians column": (
+        HEADER.replace("_deg", "_rad") + ROWS,
+        "got none named incidence_deg, receiving_deg",
+    ),
     "radians given as degrees": (
         HEADER + "0,-1.2217,0,1,2,3\n0.0873,0.5,0,1,2,3\n",
         "look like radians",
     ),
     "duplicates that disagree": (HEADER + ROWS + "5,10,0,70,80,90\n", "readings 3 and 4"),
     "empty": ("", "empty"),
-    "header only": (HEADER, "no readings"),
-    "comments only": ("# material: x\n" * 3, "no known measurement format"),
-    "cut within a row": (HEADER + ROWS[:-6], "line 4: 4 values, 6 were wanted; the file is trunc"),
-    "cut between rows": ("# readings: 5\n" + HEADER + ROWS, "header says 5 readings, 3 are there"),
-    "a header that claims 10 GB": ("# readings: 400000000\n" + HEADER + ROWS, "more than its"),
+    "header only": (HEADER, "expected readings below its column names, got none"),
+    "comments only": ("# material: x\n" * 3, "got an unknown format"),
+    "cut within a row": (HEADER + ROWS[:-6], "line 4: expected 6 values, got 4; the file is trunc"),
+    "cut between rows": (
+        "# readings: 5\n" + HEADER + ROWS,
+        "expected 5 readings by its header, got 3",
+    ),
+    "a header that claims 10 GB": (
+        "# readings: 400000000\n" + HEADER + ROWS,
+        "expected 400000000 readings by its header, got 63 characters",
+    ),
     "a count that is none": ("# readings: many\n" + HEADER + ROWS, "'many'"),
-    "infinite": (HEADER + ROWS + "9,9,9,1,inf,1\n", "Y is infinite in reading 4"),
-    "angle not a number": (HEADER + ROWS + "9,nan,9,1,1,1\n", "receiving_deg is not a finite"),
-    "word": (HEADER + ROWS + "9,9,9,1,one,1\n", "line 5, column Y: 'one' is not a number"),
-    "angle out of range": (HEADER + ROWS + "99,9,9,1,1,1\n", "incidence_deg = 99 in reading 4"),
+    "infinite": (
+        HEADER + ROWS + "9,9,9,1,inf,1\n",
+        "reading 4: Y: expected a finite value, got infinity",
+    ),
+    "angle not a number": (
+        HEADER + ROWS + "9,nan,9,1,1,1\n",
+        "reading 4: receiving_deg: expected a finite number, got nan",
+    ),
+    "word": (HEADER + ROWS + "9,9,9,1,one,1\n", "line 5, column Y: expected a number, got 'one'"),
+    "angle out of range": (
+        HEADER + ROWS + "99,9,9,1,1,1\n",
+        "reading 4: incidence_deg: expected 0…90 degrees, got 99",
+    ),
     "not UTF-8": ((HEADER + ROWS).encode() + b"9,9,9,\xff,1,1\n", "line 5: byte 0xff"),
-    "binary": (b"\x00\x01\x02" * 100, "no known measurement format"),
-    "other scale": ("# quantity: reflectance, diffuser = 1\n" + HEADER + ROWS, "diffuser is 1"),
+    "binary": (b"\x00\x01\x02" * 100, "got an unknown format"),
+    "other scale": (
+        "# quantity: reflectance, diffuser = 1\n" + HEADER + ROWS,
+        "diffuser: expected 100, got 1;",
+    ),
     "unknown channels": (HEADER.replace("X,Y,Z", "L,a,b") + ROWS, "L, a, b"),
     "a column twice": (HEADER.replace("Z", "Y") + ROWS, "twice"),
     "spread of one channel": (HEADER.strip() + ",std_X\n5,10,0,7,8,9,1\n", "std_X"),
@@ -162,5 +186,5 @@ def test_a_failed_save_leaves_the_old_file(tmp_path: Path, monkeypatch) -> None:
         m.save(path)
     assert path.read_text() == HEADER + ROWS
     assert list(tmp_path.iterdir()) == [path]
-    with pytest.raises(InputError, match="does not exist"):
+    with pytest.raises(InputError, match="expected an existing folder"):
         m.save(tmp_path / "none" / "m.csv")

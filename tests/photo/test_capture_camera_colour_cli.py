@@ -62,8 +62,8 @@ def test_calibrate_without_boards(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.full((200, 300, 3), 90, np.uint8))
     done = raden("calibrate", tmp_path / "a.png", *BOARD, "-o", tmp_path / "c.json")
     assert done.returncode == 2
-    assert "0 of 1 photographs show the board; at least 3" in done.stderr
-    assert "a.png: no board" in done.stderr
+    assert "photographs that show the board: expected at least 3, got 0 of 1" in done.stderr
+    assert "a.png: expected a 5 x 7 board" in done.stderr
     assert list(tmp_path.iterdir()) == [tmp_path / "a.png"]
 
 
@@ -112,17 +112,21 @@ def test_colour_without_a_chart(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.full((200, 300, 3), 90, np.uint8))
     done = raden("colour", tmp_path / "a.png", "-o", tmp_path / "c.json")
     assert done.returncode == 2
-    assert "a.png: no colour chart found" in done.stderr
+    assert "a.png: expected a ColorChecker Classic" in done.stderr
     cv2.imwrite(str(tmp_path / "b.jpg"), np.full((200, 300, 3), 255, np.uint8))
     for name, how, message in (
         ("b.jpg", Development(), r"b\.jpg: over-exposed, 100 %"),
         ("b.jpg", Development(coded="linear"), r"b\.jpg: a JPEG is never linear"),
-        ("a.png", Development(exposures_s=(1.0, 2.0)), "1 photographs and 2 exposure times"),
+        (
+            "a.png",
+            Development(exposures_s=(1.0, 2.0)),
+            "exposure times: expected none, or one for each of 1 photographs, got 2",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             capture_colour([tmp_path / name], tmp_path / "c.json", development=how)
     with pytest.raises(InputError, match="2014 or 2005"):
         capture_colour([tmp_path / "a.png"], tmp_path / "c.json", edition="1999")
-    with pytest.raises(InputError, match=r"results are \.json files"):
+    with pytest.raises(InputError, match=r"expected a file name that ends in \.json, got \.toml"):
         capture_colour([tmp_path / "a.png"], tmp_path / "c.toml")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.jpg"]

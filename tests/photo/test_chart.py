@@ -79,7 +79,9 @@ def test_several_charts(chart_scene: Callable) -> None:
 
 def test_cut_by_the_frame(chart_scene: Callable) -> None:
     scene = chart_scene(centre=(0.82, 0.5))
-    with pytest.raises(InputError, match=r"cut\.png: (a colour chart that|no colour chart found)"):
+    with pytest.raises(
+        InputError, match=r"cut\.png: (got a chart cut off by the frame|.*got no colour chart)"
+    ):
         find_charts(scene.srgb, "cut.png")
 
 
@@ -98,7 +100,7 @@ def test_no_chart_is_an_error(kind: str) -> None:
             for column in range(6):
                 y, x = 30 + 60 * row, 20 + 60 * column
                 picture[y : y + 48, x : x + 48] = colours[row, column]
-    with pytest.raises(InputError, match=r"x\.png: no colour chart found.*give its four corners"):
+    with pytest.raises(InputError, match=r"x\.png: .*, got no colour chart.*give its four corners"):
         find_charts(picture, "x.png")
 
 
@@ -157,7 +159,7 @@ def test_real_photographs(shared: Path) -> None:
         (mirrored,) = find_charts(np.ascontiguousarray(picture[:, ::-1]), name)
         assert mirrored.mirrored, name
     for name in ("choriginal.jpg", "charucodefinition.png"):
-        with pytest.raises(InputError, match="no colour chart found"):
+        with pytest.raises(InputError, match="got no colour chart"):
             find_charts(read_stored(shared / "data" / "charuco" / name), name)
 
 

@@ -90,8 +90,8 @@ def test_what_may_not_differ() -> None:
     one, two = (exposed(light, t, noise=noise, name=f"{i}.tif") for i, t in enumerate(TIMES[:2]))
     for change, message in (
         ({"exposure_s": None}, r"1\.tif: no exposure time"),
-        ({"iso": 400.0}, r"1\.tif: ISO 400, but 0\.tif has 100"),
-        ({"f_number": 8.0}, "aperture f/ 8"),
+        ({"iso": 400.0}, r"1\.tif: expected ISO 100 as in 0\.tif, got 400"),
+        ({"f_number": 8.0}, "expected aperture f/ 4 as in 0\\.tif, got 8"),
         ({"bits": 8}, r"1\.tif: 8 bits"),
         ({"linear": one.linear[:50], "saturated": one.saturated[:50]}, "96 x 50 pixels"),
     ):
@@ -135,7 +135,10 @@ def test_flat_field() -> None:
     with pytest.raises(InputError, match="an evenly lit white sheet"):
         flat_field(dark)
     small = Photograph(sheet[:50], nothing[:50], sheet[:50], Path("b.tif"), 16, 0.1)
-    with pytest.raises(InputError, match=r"b\.tif: 200 x 50 pixels, but the flat field"):
+    with pytest.raises(
+        InputError,
+        match=r"b\.tif: expected the flat field's size of 200 x 200 pixels, got 200 x 50",
+    ):
         flatten(small, flat_field(flat))
 
 

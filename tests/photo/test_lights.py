@@ -234,7 +234,7 @@ def test_lights_come_back_from_their_file(tmp_path: Path) -> None:
     text = (tmp_path / "lights.json").read_text("utf-8")
     assert "are no normals" in text
     (tmp_path / "lights.json").write_text(text.replace('"intensity": 1.0', '"intensity": -1.0'))
-    with pytest.raises(InputError, match="no light"):
+    with pytest.raises(InputError, match=r"expected .* positive intensities, got a lamp without"):
         read_lamps(tmp_path / "lights.json")
     (tmp_path / "lights.json").write_text(text.replace('"direction_to_lamp"', '"way"'))
     with pytest.raises(InputError, match="direction_to_lamp"):
@@ -249,8 +249,14 @@ def stand(mask: np.ndarray) -> np.ndarray:
 BAD_MASKS = {
     "empty": (np.zeros(SIZE, np.uint8), "empty"),
     "with its stand": (stand(disc(160, 90, 70)), "not round"),
-    "two balls": (np.maximum(disc(70, 120, 50), disc(220, 120, 55)), "more than one area"),
-    "a hollow ring": (disc(160, 120, 80) - disc(160, 120, 74), "not filled"),
+    "two balls": (
+        np.maximum(disc(70, 120, 50), disc(220, 120, 55)),
+        "expected one mask per ball, got more than one white area",
+    ),
+    "a hollow ring": (
+        disc(160, 120, 80) - disc(160, 120, 74),
+        "white all over the ball, got one with holes",
+    ),
     "tiny": (disc(160, 120, 5), "too small|no outline"),
     "all white": (np.full(SIZE, 255, np.uint8), "no outline"),
 }
@@ -273,7 +279,7 @@ def test_photographs_without_one_highlight() -> None:
         (np.full((*SIZE, 3), 0.3), "no highlight"),
         (np.ones((*SIZE, 3)), "no highlight"),
         (np.zeros((*SIZE, 3)), "no highlight"),
-        (np.maximum(one, other), "two highlights"),
+        (np.maximum(one, other), "expected one highlight on the ball, .*, got two"),
         (chrome(ball, lamp, near=False, size_deg=25), "covers"),
     ):
         with pytest.raises(InputError, match=message) as raised:

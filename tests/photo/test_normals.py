@@ -233,13 +233,19 @@ def test_invalid_pixels_have_no_normal() -> None:
 
 
 BAD = {
-    "two lamps": (lambda p, d: (p[:2], d[:2], {}), "lamps: 2; at least 3"),
+    "two lamps": (
+        lambda p, d: (p[:2], d[:2], {}),
+        "expected at least 3 lamps, not in a row, got 2",
+    ),
     "lamps in a plane": (lambda p, d: (p, d * torch.tensor([1.0, 0, 1]), {}), "in one plane"),
     "a lamp too few": (lambda p, d: (p, d[:-1], {}), "12 photographs"),
     "a zero direction": (lambda p, d: (p, d * (torch.arange(12) > 0)[:, None], {}), "zero"),
     "whole numbers": (lambda p, d: ((p * 255).byte(), d, {}), "floating-point"),
     "an empty mask": (lambda p, d: (p, d, {"mask": torch.zeros(1, 1, N, N)}), "empty"),
-    "another mask": (lambda p, d: (p, d, {"mask": torch.ones(1, 1, N, 9)}), "mask: shape"),
+    "another mask": (
+        lambda p, d: (p, d, {"mask": torch.ones(1, 1, N, 9)}),
+        r"mask: expected shape \[1, 1, 96, 96\], got \[1, 1, 96, 9\]",
+    ),
     "a dark lamp": (lambda p, d: (p, d, {"intensity": torch.zeros(12)}), "positive"),
     "a method": (lambda p, d: (p, d, {"method": "magic"}), "robust, least-squares"),
     "a shadow": (lambda p, d: (p, d, {"shadow": 1.0}), "share"),

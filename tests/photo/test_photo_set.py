@@ -38,12 +38,18 @@ def test_masks_as_programs_write_them(tmp_path: Path, stored: np.ndarray) -> Non
 def test_masks_that_are_none(tmp_path: Path) -> None:
     path = tmp_path / "m.png"
     cv2.imwrite(str(path), np.zeros((40, 60), np.uint8))
-    with pytest.raises(InputError, match=r"m\.png: the mask is empty"):
+    with pytest.raises(
+        InputError, match=r"m\.png: expected a mask that is white on the object, got an empty one"
+    ):
         read_mask(path, (40, 60))
     cv2.imwrite(str(path), np.full((40, 60), 90, np.uint8))
-    with pytest.raises(InputError, match=r"m\.png: the mask is nowhere above half"):
+    with pytest.raises(
+        InputError, match=r"m\.png: expected .*, got one that is nowhere above half"
+    ):
         read_mask(path, (40, 60))
-    with pytest.raises(InputError, match=r"m\.png: 60 x 40 pixels, but .* 40 x 60"):
+    with pytest.raises(
+        InputError, match=r"m\.png: expected a mask of 40 x 60 pixels, .*, got 60 x 40"
+    ):
         read_mask(path, (60, 40))
 
 
@@ -51,7 +57,10 @@ def test_one_depth_in_a_set(tmp_path: Path) -> None:
     deep = np.full((40, 60, 3), 20000, np.uint16) + np.arange(60, dtype=np.uint16)[:, None]
     cv2.imwrite(str(tmp_path / "0.png"), deep)
     cv2.imwrite(str(tmp_path / "1.png"), (deep >> 8).astype(np.uint8))
-    with pytest.raises(InputError, match=r"1\.png: 8 bits a value, but .*0\.png has 16"):
+    with pytest.raises(
+        InputError,
+        match=r"1\.png: expected photographs saved alike, got 8 bits a value, but .*0\.png has 16",
+    ):
         read_set([tmp_path / "0.png", tmp_path / "1.png"])
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading.relight import lamp_ring, relight, relit_under, texture_of, tiled
 
 N = 48

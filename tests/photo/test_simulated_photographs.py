@@ -14,8 +14,6 @@ import torch
 from PIL import Image
 
 from raden_torch.capture.photo.photograph import read_linear
-from raden_torch.capture.photo.simulation.angles import angles, directions
-from raden_torch.capture.photo.simulation.camera import Camera
 from raden_torch.capture.photo.simulation.colours import white_xyz
 from raden_torch.capture.photo.simulation.materials import (
     Material,
@@ -23,11 +21,20 @@ from raden_torch.capture.photo.simulation.materials import (
     material_of,
     truth_of,
 )
+from raden_torch.capture.photo.simulation.mitsuba_scene import (
+    Ball,
+    Lamp,
+    Sheet,
+    matt,
+    sheet,
+    sphere,
+)
 from raden_torch.capture.photo.simulation.photo_file import write_photograph
-from raden_torch.capture.photo.simulation.plan import FACING, RIGHT, UP, lamp_at
+from raden_torch.capture.photo.simulation.photo_plan import FACING, RIGHT, UP, lamp_at
 from raden_torch.capture.photo.simulation.renderer import SPECIMEN, Studio
-from raden_torch.capture.photo.simulation.scene import Ball, Lamp, Sheet, matt, sheet, sphere
 from raden_torch.capture.photo.simulation.simulate import Options, simulate_photographs
+from raden_torch.capture.photo.simulation.simulated_angles import angles, directions
+from raden_torch.capture.photo.simulation.simulated_camera import Camera
 from raden_torch.capture.photo.simulation.variants import LLVM, mitsuba, why_no_llvm
 from raden_torch.errors import InputError
 from raden_torch.geometry import raden_angles
@@ -289,7 +296,9 @@ def test_what_is_interrupted_leaves_nothing(
         (self._folder / "board_01.png").write_bytes(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("raden_torch.capture.photo.simulation.simulate._Shoot.boards", interrupted)
+    monkeypatch.setattr(
+        "raden_torch.capture.photo.simulation.simulate._PhotoSession.boards", interrupted
+    )
     with pytest.raises(KeyboardInterrupt):
         simulate_photographs(tmp_path / "set", Options(material="white", width=300))
     assert list(tmp_path.iterdir()) == []

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from raden_torch.capture.photo.brdf.cells import CellGrid
+from raden_torch.capture.photo.brdf.photo_cells import CellGrid
 from raden_torch.capture.photo.capture_brdf import CapturedBrdf, capture_brdf
 
 Array = np.ndarray
@@ -181,15 +181,15 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
 
 def sphere_setup(series: Series) -> dict[str, object]:
     """The arguments of `capture_brdf` for such a series."""
+    from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
     from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
     from raden_torch.capture.photo.brdf.sample import SampleSpec
-    from raden_torch.capture.photo.brdf.white import D65_XYZ, WhiteFactor
-    from raden_torch.capture.photo.capture_brdf import Setup
+    from raden_torch.capture.photo.capture_brdf import CaptureSetup
     from raden_torch.capture.photo.development import Development
 
     return {
         "photographs": series.photos,
-        "setup": Setup(series.lights, development=Development("linear"), lamp_std_deg=0.1),
+        "setup": CaptureSetup(series.lights, development=Development("linear"), lamp_std_deg=0.1),
         "sample": SampleSpec("sphere", series.mask),
         "white": WhiteSpec(series.white),
         "factor": WhiteFactor(0.9 * D65_XYZ),
@@ -307,10 +307,10 @@ def board_series(tmp_path: Path) -> Callable[..., Series]:
 
 def board_setup(series: Series, *, rod: bool = False, axis: bool = True) -> dict[str, object]:
     """The arguments of `capture_brdf` for such a series."""
+    from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
     from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
     from raden_torch.capture.photo.brdf.sample import SampleSpec
-    from raden_torch.capture.photo.brdf.white import D65_XYZ, WhiteFactor
-    from raden_torch.capture.photo.capture_brdf import Setup
+    from raden_torch.capture.photo.capture_brdf import CaptureSetup
     from raden_torch.capture.photo.development import Development
 
     sample = SampleSpec("plane", region_m=FLAT_M)
@@ -320,7 +320,7 @@ def board_setup(series: Series, *, rod: bool = False, axis: bool = True) -> dict
         )
     return {
         "photographs": series.photos,
-        "setup": Setup(
+        "setup": CaptureSetup(
             series.lights,
             Path(str(series.extra["camera"])),
             seen_in=series.photos[0].name,

@@ -52,7 +52,9 @@ def test_a_lamp_in_the_wrong_place_is_named(sphere: Any) -> None:
 def test_too_little_coverage_says_what_would_help(sphere: Any) -> None:
     one = np.array([[0.2, 0.1, 1.0]]) / np.sqrt(1.05)
     with pytest.raises(
-        InputError, match=r"cover 0?[0-4]\.\d % .*would help most: the lamp \d+ deg"
+        InputError,
+        match=r"expected readings in at least 5 % of the grid, got 0?[0-4]\.\d %\. "
+        r".*would help most: the lamp \d+ deg",
     ):
         sphere.run(lamps=one, radius=40.0)
 
@@ -64,7 +66,9 @@ def test_fit_refuses_a_nearly_empty_grid_with_the_advice_of_its_file(sphere: Any
     rows = np.flatnonzero(found.valid)[::40]
     kept = np.zeros(len(found), bool)
     kept[rows] = True
-    with pytest.raises(InputError, match=r"% of its 12615 cells .* with the lamp \d+ deg towards"):
+    with pytest.raises(
+        InputError, match=r"5 % of its 12615 cells, .*, got 0\.7 %.* with the lamp \d+ deg towards"
+    ):
         rt.fit(replace(found, valid=kept))
 
 
@@ -74,16 +78,17 @@ def test_lamps_and_photographs_that_do_not_fit(sphere: Any) -> None:
     photos = arguments.pop("photographs")
     setup = arguments.pop("setup")
     with pytest.raises(
-        InputError, match=r"photo7\.png: lamp 9 is not in .*lights\.json, which has 8"
+        InputError,
+        match=r"photo7\.png: lamp: expected .* 1 to 8 \(.*lights\.json has 8 lamps\), got 9",
     ):
         capture_brdf(photos, replace(setup, lamps=(1, 2, 3, 4, 5, 6, 7, 9)), **arguments)
     with pytest.raises(InputError, match=r"photo0\.png: its lamp is not in"):
         capture_brdf([*photos, photos[0]], setup, **arguments)
-    with pytest.raises(InputError, match="8 lamps, but 7 photographs"):
+    with pytest.raises(InputError, match="got 8 lamps for 7 photographs"):
         capture_brdf(photos[:7], setup, **arguments)
     with pytest.raises(InputError, match=r"photo\d\.png: it is photograph 1, but lamp 1"):
         capture_brdf(photos[::-1], setup, **arguments)
-    with pytest.raises(InputError, match=r"8 files do not make stacks of 3"):
+    with pytest.raises(InputError, match=r"expected a whole number of stacks of 3, got 8 files"):
         capture_brdf(photos, replace(setup, stack=3), **arguments)
 
 
@@ -94,23 +99,27 @@ def test_no_white_and_over_exposed(sphere: Any) -> None:
     arguments = sphere.arguments(series)
     black = series.folder / "black.png"
     cv2.imwrite(str(black), np.zeros(cv2.imread(str(series.white)).shape[:2], np.uint8))
-    with pytest.raises(InputError, match="the mask is empty"):
+    with pytest.raises(
+        InputError, match="expected a mask that is white on the object, got an empty one"
+    ):
         capture_brdf(**(arguments | {"white": WhiteSpec(black)}))
-    with pytest.raises(InputError, match="0 places of the white reference; one was wanted"):
+    with pytest.raises(InputError, match=r"white reference: expected one place .*, got 0"):
         WhiteSpec()
 
 
 def test_shapes_that_lack_something(sphere: Any, board: Any) -> None:
-    with pytest.raises(InputError, match="a mask that is white on it was wanted"):
+    with pytest.raises(InputError, match="cylinder: expected a mask that is white on it, got none"):
         SampleSpec("cylinder")
-    with pytest.raises(InputError, match="where is it"):
+    with pytest.raises(
+        InputError, match="plane: expected its corners on the board, or a mask, got neither"
+    ):
         SampleSpec("plane")
-    with pytest.raises(InputError, match="'cube'; sphere, plane or cylinder"):
+    with pytest.raises(InputError, match="shape: expected sphere, plane or cylinder, got 'cube'"):
         SampleSpec("cube")
     series = sphere.series(4, radius=60.0)
     with pytest.raises(InputError, match="the board's pose in it is not known"):
         capture_brdf(**(sphere.arguments(series) | {"sample": SampleSpec("plane", series.mask)}))
-    with pytest.raises(InputError, match=r"no two long straight edges|not straight"):
+    with pytest.raises(InputError, match=r"got no two long straight edges|not straight"):
         capture_brdf(**(sphere.arguments(series) | {"sample": SampleSpec("cylinder", series.mask)}))
     lights = json.loads(Path(series.lights).read_text())
     for lamp in lights["lamps"]:
@@ -124,13 +133,13 @@ def test_shapes_that_lack_something(sphere: Any, board: Any) -> None:
 @pytest.mark.parametrize(
     ("factor", "file", "std", "said"),
     [
-        (None, None, 0.0, "its reflectance factor was wanted"),
-        ("98", "x.csv", 0.0, "a factor and a file"),
-        ("zwei", None, 0.0, "reflectance factor zwei"),
+        (None, None, 0.0, "white: expected its reflectance factor, got none"),
+        ("98", "x.csv", 0.0, "expected a factor or a file, got both"),
+        ("zwei", None, 0.0, "reflectance factor: expected .*, got zwei"),
         ("0", None, 0.0, "above 0"),
         ("95,100", None, 0.0, "one number or X,Y,Z"),
         (None, "x.csv", 0.0, "no such file"),
-        ("98", None, 120.0, "standard uncertainty 120"),
+        ("98", None, 120.0, "standard uncertainty: expected .*, got 120"),
     ],
 )
 def test_the_white_has_a_factor(factor: str, file: str, std: float, said: str) -> None:

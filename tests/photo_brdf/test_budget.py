@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from raden_torch.capture.photo.brdf.budget import direction_slopes
+from raden_torch.capture.photo.brdf.photo_budget import direction_slopes
 from raden_torch.capture.photo.capture_brdf import capture_brdf
 from raden_torch.reflectance.regions import regions
 
@@ -47,8 +47,8 @@ def test_the_terms_add_up_and_the_scale_is_not_in_them(sphere: Any) -> None:
     squares = sum(np.square(term) for name, term in terms.items() if name != "scale")
     np.testing.assert_allclose(np.square(m.std), squares)
     np.testing.assert_allclose(terms["scale"][m.valid], 0.02 * np.abs(m.values[m.valid]))
-    assert m.metadata.common.scale_std == 0.02
-    assert m.metadata.common.scale_reference == "tile 7"
+    assert m.metadata.systematic.scale_std == 0.02
+    assert m.metadata.systematic.scale_reference == "tile 7"
     for name, term in terms.items():
         assert (term[m.valid] >= 0).all(), name
     assert (terms["colour"][m.valid] == 0).all()  # without a colour file

@@ -58,7 +58,7 @@ def test_the_command_and_its_files(sphere: Any, tmp_path: Path) -> None:
     m = load_measurement(out)
     assert m.channels == ("X", "Y", "Z")
     assert m.metadata.simulated
-    assert m.metadata.common.scale_std == pytest.approx(0.015)
+    assert m.metadata.systematic.scale_std == pytest.approx(0.015)
     # the white is grey to the camera: so is the matrix' own white
     white = np.array([95.047, 100.0, 108.883])
     truth = sphere.truth() @ to_xyz.T / to_xyz.sum(axis=1) * white / 100
@@ -107,7 +107,7 @@ def test_a_measured_white_is_looked_up_at_its_own_geometry(sphere: Any, tmp_path
     mask is found."""
     from dataclasses import replace
 
-    from raden_torch.capture.photo.brdf.white import D65_XYZ, WhiteFactor
+    from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
     from raden_torch.capture.photo.capture_brdf import capture_brdf
     from raden_torch.measurement import BrdfMeasurement
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from raden_torch.capture.photo.brdf.cells import CellGrid
 from raden_torch.capture.photo.brdf.coverage import coverage
-from raden_torch.capture.photo.brdf.files import write_brdf
-from raden_torch.capture.photo.brdf.shapes import Plane, Sphere
+from raden_torch.capture.photo.brdf.photo_brdf_file import write_brdf
+from raden_torch.capture.photo.brdf.photo_cells import CellGrid
+from raden_torch.capture.photo.brdf.sample_shapes import Plane, Sphere
 from raden_torch.capture.photo.camera import Camera, Pose
-from raden_torch.plots.coverage import draw_captured
+from raden_torch.plots.coverage_figure import draw_captured
 from raden_torch.plots.sheet import save_plot
 
 

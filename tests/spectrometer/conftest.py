@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 from raden_torch.capture.spectrometer.journal import Header
-from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.ports import (
     Colorimeter,
     ColorReading,
@@ -25,7 +24,8 @@ from raden_torch.capture.spectrometer.ports import (
     Range,
     Target,
 )
-from raden_torch.capture.spectrometer.white import White
+from raden_torch.capture.spectrometer.scan_plan import Plan
+from raden_torch.capture.spectrometer.white_reference import White
 
 Answer = Callable[[bytes], bytes]
 

@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 
 from raden_torch.capture.spectrometer import adaptive
 from raden_torch.capture.spectrometer.adaptive import AdaptivePlan, make_adaptive_plan
-from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import JournalFile, read_journal
 from raden_torch.capture.spectrometer.lab_report import make_report
-from raden_torch.capture.spectrometer.plan import make_plan
+from raden_torch.capture.spectrometer.next_cells import estimate
 from raden_torch.capture.spectrometer.plan_choice import PlanChoice
 from raden_torch.capture.spectrometer.plan_json import plan_from_json
 from raden_torch.capture.spectrometer.ports import Position
 from raden_torch.capture.spectrometer.reduction import reduce_readings
 from raden_torch.capture.spectrometer.rehearsal import rehearse
 from raden_torch.capture.spectrometer.scan import check_resumable, run_scan
+from raden_torch.capture.spectrometer.scan_cells import grid
+from raden_torch.capture.spectrometer.scan_plan import make_plan
 from raden_torch.capture.spectrometer.travel import travel_deg
-from raden_torch.capture.spectrometer.where_next import estimate
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 
@@ -66,7 +66,7 @@ def test_any_plan_ends_within_its_budget(step, budget, repeats, tilt, unreachabl
             repeats=repeats,
         )
     except InputError as error:
-        assert "read first; the budget is" in str(error)  # noqa: PT017
+        assert "which are read first, got" in str(error)  # noqa: PT017
         return
     end = rehearse(plan, lambda cells: ridge(cells, tilt=tilt))
     assert isinstance(end, AdaptivePlan)
@@ -131,10 +131,10 @@ def test_a_plan_survives_its_json() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"readings": 10}, "needs 20 cells at least"),
-        ({"target": 0.0}, "target error = 0"),
-        ({"target": float("nan")}, "target error = nan"),
-        ({"repeats": 0}, "repeats = 0"),
+        ({"readings": 10}, "expected at least 20 cells, got 10 readings"),
+        ({"target": 0.0}, "target error: expected 0…1, got 0"),
+        ({"target": float("nan")}, "target error: expected 0…1, got nan"),
+        ({"repeats": 0}, "repeats: expected 1…100, got 0"),
         ({"reachable": lambda position: "nowhere"}, "can reach none"),
     ],
 )

@@ -10,18 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from raden_torch.capture.spectrometer.cells import grid
-from raden_torch.capture.spectrometer.journal import Contents, JournalFile, read_journal
+from raden_torch.capture.spectrometer.journal import JournalContents, JournalFile, read_journal
 from raden_torch.capture.spectrometer.lab_report import make_report
-from raden_torch.capture.spectrometer.plan import make_plan
 from raden_torch.capture.spectrometer.ports import Position
-from raden_torch.capture.spectrometer.reduction import Reduced, reduce_readings
+from raden_torch.capture.spectrometer.reduction import ReducedScan, reduce_readings
 from raden_torch.capture.spectrometer.scan import run_scan
+from raden_torch.capture.spectrometer.scan_cells import grid
+from raden_torch.capture.spectrometer.scan_plan import make_plan
 from raden_torch.capture.spectrometer.simulation.in_process import scan_in_process
-from raden_torch.capture.spectrometer.simulation.scene import Scene, make_scene
+from raden_torch.capture.spectrometer.simulation.simulated_radiance import Scene, make_scene
 from raden_torch.capture.spectrometer.simulation.simulated_rig import Conditions, simulated_rig
-from raden_torch.capture.spectrometer.stated import StatedUncertainty
-from raden_torch.capture.spectrometer.white import White
+from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
+from raden_torch.capture.spectrometer.white_reference import White
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.compare import compare
@@ -41,7 +41,7 @@ def shell() -> tuple[Scene, BrdfMeasurement]:
     return scene, simulate_specimen("yakogai", geometries_deg=grid(step_deg=5, **BOX))
 
 
-def scans(scene: Scene, conditions: Conditions, runs: int, **options: object) -> list[Reduced]:
+def scans(scene: Scene, conditions: Conditions, runs: int, **options: object) -> list[ReducedScan]:
     plan = make_plan(grid(step_deg=5, **BOX), "box")
     return [
         reduce_readings(scan_in_process(scene, plan, conditions=conditions, seed=seed, **options))
@@ -97,17 +97,17 @@ def test_each_term_alone_is_as_large_as_its_error(
 @pytest.mark.slow
 def test_ptys_and_one_process_give_the_same_readings(tmp_path: Path) -> None:
     """Zeros that are off, and no noise: what is left is the four digits of the instrument."""
-    from raden_torch.capture.spectrometer import session
+    from raden_torch.capture.spectrometer import scan_session
 
     path = tmp_path / "shell.csv"
     simulate_specimen("yakogai", step_deg=10).save(path)
     conditions = Conditions(noise=0.0, dark_noise_cd_m2=0.0, lamp_drift=0.0, zero_error_deg=0.3)
     plan = make_plan(grid(step_deg=20, incidence=(20, 40), receiving=(0, 40), tilt=(0, 20)), "few")
-    references = session.References(1e6, 2)
+    references = scan_session.References(1e6, 2)
     with (
         simulated_rig(path, seed=3, time_scale=300, conditions=conditions) as simulated,
-        session.open_instruments(simulated.rig) as instruments,
-        session.open_journal(
+        scan_session.open_instruments(simulated.rig) as instruments,
+        scan_session.open_journal(
             tmp_path / "j.jsonl",
             simulated.rig,
             instruments,
@@ -124,14 +124,16 @@ def test_ptys_and_one_process_give_the_same_readings(tmp_path: Path) -> None:
     process = reduce_readings(contents).measurement
     np.testing.assert_allclose(lines.values, process.values, rtol=2e-4)
     np.testing.assert_allclose(lines.std, process.std, rtol=2e-3)
-    assert lines.metadata.common == process.metadata.common
+    assert lines.metadata.systematic == process.metadata.systematic
     straight = simulate_specimen("yakogai", geometries_deg=plan.cells).values
     assert abs(np.sort(lines.values, axis=0) / np.sort(straight, axis=0) - 1).max() > 0.01
 
 
 @pytest.fixture
-def scanned(tmp_path: Path, fake, goniometer, colorimeter, header) -> Callable[..., Contents]:
-    def run(plan, name: str = "scan.jsonl", **changed: object) -> Contents:
+def scanned(
+    tmp_path: Path, fake, goniometer, colorimeter, header
+) -> Callable[..., JournalContents]:
+    def run(plan, name: str = "scan.jsonl", **changed: object) -> JournalContents:
         with JournalFile.create(tmp_path / name, header(plan, **changed)) as journal:
             run_scan(journal, goniometer, colorimeter, clock=fake.clock)
         return read_journal(tmp_path / name)
@@ -169,13 +171,15 @@ def test_what_is_common_stands_in_the_measurement(scanned) -> None:
     white = White(Position(45.0, 0.0, 0.0), (94.0, 99.0, 107.8), "tile 7", relative_std=0.005)
     stated = StatedUncertainty((0.1, 0.2, 0.3), (0.01, 0.02, 0.03))
     reduced = reduce_readings(scanned(plan, white=white, stated=stated))
-    common = reduced.measurement.metadata.common
+    common = reduced.measurement.metadata.systematic
     assert (common.scale_std, common.scale_reference) == (0.005, "tile 7")
     assert common.zero_std_deg == (0.1, 0.2, 0.3)
     assert common.white_deg == (45.0, 0.0, 0.0)
     np.testing.assert_allclose(reduced.budget.scale, 0.005 * reduced.measurement.values)
     unnamed = White(Position(45.0, 0.0, 0.0), (94.0, 99.0, 107.8), relative_std=0.005)
-    common = reduce_readings(scanned(plan, "b.jsonl", white=unnamed)).measurement.metadata.common
+    common = reduce_readings(
+        scanned(plan, "b.jsonl", white=unnamed)
+    ).measurement.metadata.systematic
     assert (common.scale_std, common.scale_reference) == (0.005, "")
 
 

@@ -267,7 +267,9 @@ def test_cr_conversation(cr) -> None:
 def test_cr_photometers_and_strangers(cr, scripted_lines) -> None:
     replies, instrument = cr
     replies["RC InstrumentType"] = b"OK:0:RC InstrumentType:0\r\n"
-    with pytest.raises(InstrumentError, match="photometer does not measure XYZ"):
+    with pytest.raises(
+        InstrumentError, match="expected a colorimeter that measures XYZ, got a CR photometer"
+    ):
         CrSeries(settings("cr", instrument.port))
     with pytest.raises(ConnectionLostError, match="no CR instrument answered"):
         CrSeries(settings("cr", scripted_lines(lambda line: b"ER00\r\n").port))
@@ -310,5 +312,7 @@ def test_cs100a_strangers(scripted_lines) -> None:
 
 
 def test_a_driver_that_nobody_brought() -> None:
-    with pytest.raises(InputError, match="driver 'dds5000' is not known; cs2000, cr, cs100a"):
+    with pytest.raises(
+        InputError, match=r"driver: expected one of cs2000, cr, cs100a.*, got 'dds5000'"
+    ):
         open_colorimeter(settings("dds5000", "/dev/null"))

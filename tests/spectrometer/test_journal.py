@@ -12,7 +12,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import (
     Fault,
     JournalFile,
@@ -20,8 +19,9 @@ from raden_torch.capture.spectrometer.journal import (
     Session,
     read_journal,
 )
-from raden_torch.capture.spectrometer.plan import FixedPlan, Taken, make_plan
 from raden_torch.capture.spectrometer.ports import ColorReading, Range, Target
+from raden_torch.capture.spectrometer.scan_cells import grid
+from raden_torch.capture.spectrometer.scan_plan import FixedPlan, TakenReading, make_plan
 from raden_torch.errors import InputError
 
 
@@ -30,12 +30,14 @@ def plan() -> FixedPlan:
     return make_plan(grid(step_deg=70), "coarse", repeats=2)
 
 
-def readings(plan: FixedPlan, count: int) -> list[Taken]:
-    taken: list[Taken] = []
+def readings(plan: FixedPlan, count: int) -> list[TakenReading]:
+    taken: list[TakenReading] = []
     for i in range(count):
         step = plan.next_step(taken)
         assert step is not None
-        taken.append(Taken(step, ColorReading(np.array([0.1, 1 / 3, i]), Range.OK, 0.5), 1e9 + i))
+        taken.append(
+            TakenReading(step, ColorReading(np.array([0.1, 1 / 3, i]), Range.OK, 0.5), 1e9 + i)
+        )
     return taken
 
 
@@ -60,9 +62,9 @@ def test_what_is_written_is_read(tmp_path: Path, header, plan: FixedPlan) -> Non
         Reference(0, Target.DARK, ColorReading(np.full(3, np.nan), Range.UNDER), 2.0),
         Reference(0, Target.WHITE, spectral, 3.0),
         Reference(0, Target.WHITE, ColorReading(np.ones(3), Range.OK, None, uneven, uneven), 3.5),
-        Taken(first.step, spectral, 4.0),
+        TakenReading(first.step, spectral, 4.0),
         Fault("busy", "ER02 — not now", 1, 5.0),
-        Taken(second.step, over, 6.0),
+        TakenReading(second.step, over, 6.0),
     ]
     with JournalFile.create(path, header(plan)) as journal:
         for record in records:
@@ -161,8 +163,8 @@ def test_a_changed_plan_is_noticed(journal_of_ten: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"format": 2}, "journal format 2; this version reads 1"),
-        ({"plan": {"kind": "clever"}}, "plan: kind 'clever' is not known"),
+        ({"format": 2}, "journal format: expected 1, got 2"),
+        ({"plan": {"kind": "clever"}}, "plan: kind: expected fixed or adaptive, got 'clever'"),
         ({"plan": 3}, "line 1"),
         ({"white": {}}, "line 1: KeyError"),
         ({"record": "reading"}, "not the header"),

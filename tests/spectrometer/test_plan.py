@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from raden_torch.capture.spectrometer.cells import grid, list_cells, random_cells
-from raden_torch.capture.spectrometer.plan import FixedPlan, make_plan
 from raden_torch.capture.spectrometer.plan_json import plan_from_json
 from raden_torch.capture.spectrometer.ports import Position, Target
+from raden_torch.capture.spectrometer.scan_cells import grid, list_cells, random_cells
+from raden_torch.capture.spectrometer.scan_plan import FixedPlan, make_plan
 from raden_torch.capture.spectrometer.travel import longest_axis_deg, short_order, travel_deg
 from raden_torch.errors import InputError
 
@@ -137,18 +137,27 @@ def test_a_list_of_cells_may_be_a_measurement(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"columns incidence_deg,receiving_deg,tilt_deg were wanted"),
-        ("a,b,c\n1,2,3\n", r"columns incidence_deg,receiving_deg,tilt_deg were wanted"),
-        ("incidence_deg,receiving_deg,tilt_deg\n", "lists no cells"),
-        ("incidence_deg,receiving_deg,tilt_deg\n1,2\n", "line 2: 2 values, 3 were wanted"),
+        ("", r"expected columns incidence_deg,receiving_deg,tilt_deg"),
+        ("a,b,c\n1,2,3\n", r"expected columns incidence_deg,receiving_deg,tilt_deg"),
+        ("incidence_deg,receiving_deg,tilt_deg\n", "expected a list of cells, got none"),
+        ("incidence_deg,receiving_deg,tilt_deg\n1,2\n", "line 2: expected 3 values, got 2"),
         (
             "incidence_deg,receiving_deg,tilt_deg\n1,2,3\n\n1,x,3\n",
-            "line 4, column receiving_deg: 'x'",
+            "line 4, column receiving_deg: expected a number, got 'x'",
         ),
-        ("incidence_deg,receiving_deg,tilt_deg\n1,2,nan\n", "cell 1 is"),
-        ("incidence_deg,receiving_deg,tilt_deg\n1,2,3\n-1,2,3\n", "cell 2 is"),
-        ("incidence_deg,receiving_deg,tilt_deg\n1,90,3\n", "cell 1 is"),
-        ("incidence_deg,receiving_deg,tilt_deg\n1,2,3\n4,5,6\n1,2,3\n", "cell 1.*there twice"),
+        ("incidence_deg,receiving_deg,tilt_deg\n1,2,nan\n", "cell 1: expected .*nan"),
+        (
+            "incidence_deg,receiving_deg,tilt_deg\n1,2,3\n-1,2,3\n",
+            r"cell 2: expected .*, got \[-1.0, 2.0, 3.0\]",
+        ),
+        (
+            "incidence_deg,receiving_deg,tilt_deg\n1,90,3\n",
+            r"cell 1: expected .*, got \[1.0, 90.0, 3.0\]",
+        ),
+        (
+            "incidence_deg,receiving_deg,tilt_deg\n1,2,3\n4,5,6\n1,2,3\n",
+            "cell 1: expected each cell once, got .* twice",
+        ),
     ],
 )
 def test_a_wrong_list_is_refused(tmp_path: Path, text: str, message: str) -> None:
@@ -170,11 +179,11 @@ def test_any_bytes_as_a_list_are_read_or_refused(tmp_path_factory, data: bytes) 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"step_deg": 0.0}, "step = 0"),
-        ({"step_deg": float("nan")}, "step = nan"),
-        ({"step_deg": 3.0}, "not a whole number of steps"),
-        ({"step_deg": 0.1}, "cells; at most"),
-        ({"step_deg": 1e-9}, "steps; at most"),
+        ({"step_deg": 0.0}, "step: expected more than 0 deg, got 0"),
+        ({"step_deg": float("nan")}, "step: expected more than 0 deg, got nan"),
+        ({"step_deg": 3.0}, "expected a whole number of steps of 3 deg, got 0…70"),
+        ({"step_deg": 0.1}, "step: expected at most 1000000 cells, got 1375923501"),
+        ({"step_deg": 1e-9}, "expected at most 1000000 steps, got 70000000000"),
         ({"tilt": (10.0, -10.0)}, "from low to high"),
         ({"incidence": (-5.0, 10.0)}, "incidence from 0"),
         ({"receiving": (0.0, 90.0)}, "below 90"),
@@ -192,5 +201,5 @@ def test_a_plan_without_a_reachable_cell_is_refused() -> None:
 
 @pytest.mark.parametrize("repeats", [0, 101])
 def test_repeats_out_of_range(repeats: int) -> None:
-    with pytest.raises(InputError, match="repeats = "):
+    with pytest.raises(InputError, match="repeats: expected 1…100, got "):
         make_plan(grid(step_deg=35), "g", repeats=repeats)

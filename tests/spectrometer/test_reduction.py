@@ -8,25 +8,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from raden_torch.capture.spectrometer.cells import grid
-from raden_torch.capture.spectrometer.journal import Contents, JournalFile, read_journal
+from raden_torch.capture.spectrometer.journal import JournalContents, JournalFile, read_journal
 from raden_torch.capture.spectrometer.lab_report import (
     check_reciprocity,
     make_report,
     with_report,
 )
-from raden_torch.capture.spectrometer.plan import FixedPlan, make_plan
 from raden_torch.capture.spectrometer.ports import Position, Target
-from raden_torch.capture.spectrometer.reduction import Reduced, reduce_readings
+from raden_torch.capture.spectrometer.reduction import ReducedScan, reduce_readings
 from raden_torch.capture.spectrometer.scan import run_scan
-from raden_torch.capture.spectrometer.white import White
+from raden_torch.capture.spectrometer.scan_cells import grid
+from raden_torch.capture.spectrometer.scan_plan import FixedPlan, make_plan
+from raden_torch.capture.spectrometer.white_reference import White
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, native_csv
 
 
 @pytest.fixture
-def scanned(tmp_path: Path, fake, goniometer, colorimeter, header) -> Callable[..., Contents]:
-    def run(plan: FixedPlan, name: str = "scan.jsonl", **changed: object) -> Contents:
+def scanned(
+    tmp_path: Path, fake, goniometer, colorimeter, header
+) -> Callable[..., JournalContents]:
+    def run(plan: FixedPlan, name: str = "scan.jsonl", **changed: object) -> JournalContents:
         with JournalFile.create(tmp_path / name, header(plan, **changed)) as journal:
             run_scan(journal, goniometer, colorimeter, clock=fake.clock)
         return read_journal(tmp_path / name)
@@ -222,7 +224,7 @@ def test_the_report_says_what_a_lab_keeps(scanned, fake, plan: FixedPlan) -> Non
     fake.noise, fake.drift_per_s = 0.001, 1e-5
     fake.fail("measure", [None] * 20 + [InstrumentBusyError("ER02")])
     contents = scanned(plan, every_s=100.0)
-    reduced: Reduced = reduce_readings(contents)
+    reduced: ReducedScan = reduce_readings(contents)
     text = str(make_report(contents, reduced))
     for part in (
         "fake shell, coarse (simulated)",

@@ -80,42 +80,110 @@ def test_a_rig_is_read(rig_file) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('letter = "B"', 'letter = "A"', r"receiving.letter: 'A' turns incidence already"),
-        ('letter = "B"', 'letter = "a"', r"'A' turns incidence already"),
-        ('letter = "B"', 'letter = "Q"', r"'Q'; one of X, Y, Z"),
-        ("[-75, 75]", "[75, -75]", r"receiving.limits_deg: \[75, -75\] is reversed"),
-        ("[-75, 75]", "[-75]", r"receiving.limits_deg: \[-75\]; 2 numbers were wanted"),
+        (
+            'letter = "B"',
+            'letter = "A"',
+            r"receiving.letter: expected a letter of its own, got 'A', which turns incidence",
+        ),
+        ('letter = "B"', 'letter = "a"', r"got 'A', which turns incidence already"),
+        ('letter = "B"', 'letter = "Q"', r"expected one of X, Y, Z, .*, got 'Q'"),
+        (
+            "[-75, 75]",
+            "[75, -75]",
+            r"receiving.limits_deg: expected the lower limit first, got \[75, -75\]",
+        ),
+        ("[-75, 75]", "[-75]", r"receiving.limits_deg: expected 2 numbers, .*, got \[-75\]"),
         ("[-75, 75]", "[0, 0.5]", r"receiving.limits_deg: 0…0.5 leaves no room for approach_deg"),
-        ("[-75, 75]", "[nan, 75]", r"receiving.limits_deg: nan; a number in -180…180"),
-        ("limits_deg = [-72, 72]", "", r"goniometer.axes.tilt.limits_deg: is missing"),
-        ("direction = -1", "direction = 2", r"direction: 2; one of 1, -1 was wanted"),
-        ("direction = -1", "direction = true", r"direction: True; one of 1, -1 was wanted"),
-        ("zero_deg = 12.5", "zero_deg = 1" + "0" * 400, r"zero_deg: 1000.*…"),
+        ("[-75, 75]", "[nan, 75]", r"receiving.limits_deg: expected a number in -180…180, got nan"),
+        (
+            "limits_deg = [-72, 72]",
+            "",
+            r"goniometer.axes.tilt.limits_deg: expected a value, got none",
+        ),
+        ("direction = -1", "direction = 2", r"direction: expected one of 1, -1, got 2"),
+        ("direction = -1", "direction = true", r"direction: expected one of 1, -1, got True"),
+        (
+            "zero_deg = 12.5",
+            "zero_deg = 1" + "0" * 400,
+            r"zero_deg: expected a number in .*, got 1000",
+        ),
         ("zero_deg = 12.5", "zero_deg = 1" + "0" * 9000, r"not valid TOML"),
-        ("zero_deg = 12.5", 'zero_deg = "12.5"', r"zero_deg: '12.5'; a number in"),
-        ('driver = "grbl"', 'driver = "dds5000"', r"goniometer.driver: 'dds5000'; one of grbl"),
-        ('driver = "grbl"', "", r"goniometer.driver: is missing"),
+        ("zero_deg = 12.5", 'zero_deg = "12.5"', r"zero_deg: expected a number in .*, got '12.5'"),
+        (
+            'driver = "grbl"',
+            'driver = "dds5000"',
+            r"goniometer.driver: expected one of grbl, got 'dds5000'",
+        ),
+        ('driver = "grbl"', "", r"goniometer.driver: expected a value, got none"),
         ('"/dev/ttyACM0"', '"/dev/ttyUSB0"', r"colorimeter.port: the goniometer has the same"),
-        ("approach_deg = 1.0", "aproach_deg = 1.0", r"goniometer.aproach_deg: not a key"),
-        ("approach_deg = 1.0", "baud = 0", r"goniometer.baud: 0; a number in 300"),
-        ("approach_deg = 1.0", "baud = 9600.5", r"goniometer.baud: 9600.5; a whole number"),
-        ("approach_deg = 1.0", 'homing = "G28"', r"homing: 'G28'; '\$H' or 'manual'"),
-        ("98.5", "0.0", r"white.reflectance_factor: 0; readings are divided by it"),
-        ("98.5", "0.985", r"white.reflectance_factor: 0.985; the perfect diffuser is 100"),
-        ("98.5", "-3", r"white.reflectance_factor: -3; a number in 0"),
-        ("reflectance_factor = 98.5", "", r"white.reflectance_factor: this or `file` was wanted"),
-        ("98.5", '98.5\nfile = "tile.csv"', r"one of the two"),
-        ("reflectance_factor = 98.5", 'file = "tile.csv"', r"tile.csv: No such file"),
+        (
+            "approach_deg = 1.0",
+            "aproach_deg = 1.0",
+            r"goniometer.aproach_deg: expected one of approach_deg, ",
+        ),
+        ("approach_deg = 1.0", "baud = 0", r"goniometer.baud: expected a number in 300….*, got 0"),
+        (
+            "approach_deg = 1.0",
+            "baud = 9600.5",
+            r"goniometer.baud: expected a whole number, got 9600.5",
+        ),
+        ("approach_deg = 1.0", 'homing = "G28"', r"homing: expected '\$H' or 'manual', got 'G28'"),
+        (
+            "98.5",
+            "0.0",
+            r"white.reflectance_factor: expected above 0, .* divided by it .*, got 0",
+        ),
+        (
+            "98.5",
+            "0.985",
+            r"white.reflectance_factor: expected percent \(.* 100 here, .*, got 0.985",
+        ),
+        ("98.5", "-3", r"white.reflectance_factor: expected a number in 0…1000, got -3"),
+        (
+            "reflectance_factor = 98.5",
+            "",
+            r"white.reflectance_factor: expected this or `file` .*, got neither",
+        ),
+        (
+            "98.5",
+            '98.5\nfile = "tile.csv"',
+            r"reflectance_factor: expected this or `file` .*, got both",
+        ),
+        (
+            "reflectance_factor = 98.5",
+            'file = "tile.csv"',
+            r"tile.csv: expected a measurement CSV, got an error: No such file",
+        ),
         ("98.5", "98.5\ngeometry_deg = [80, 0, 0]", r"white.geometry_deg: out of reach: incidence"),
         ("98.5", "98.5\ngeometry_deg = [3, 0, 0]", r"out of reach: the detector hides the lamp"),
-        ('"M9", "G0 X0"', '"G0 A10"', r"show.sample: 'G0 A10' would drive A past its limits"),
-        ('"M9", "G0 X0"', '"G92 X0"', r"show.sample: 'G92 X0' changes coordinates"),
+        (
+            '"M9", "G0 X0"',
+            '"G0 A10"',
+            r"show.sample: expected .*, got 'G0 A10', which would drive A past them",
+        ),
+        (
+            '"M9", "G0 X0"',
+            '"G92 X0"',
+            r"show.sample: expected .*, got 'G92 X0', which changes coordinates",
+        ),
         ('"M9", "G0 X0"', '"G10L2P1X5"', r"changes coordinates"),
-        ('"M9", "G0 X0"', '"$H"', r"show.sample: '\$H'; G-code words only"),
+        ('"M9", "G0 X0"', '"$H"', r"show.sample: expected G-code words only, .*, got '\$H'"),
         ('"M9", "G0 X0"', '"M9\\nG0 X0"', r"G-code words only"),
-        ('"M9", "G0 X0"', "3", r"show.sample: \[3\]; a list of G-code lines or 'manual'"),
-        ("angle_deg = 8", "angle_deg = 95", r"obstruction.angle_deg: 95; a number in 0…90"),
-        ("[obstruction]", "[obstrucktion]", r"obstrucktion: not a key"),
+        (
+            '"M9", "G0 X0"',
+            "3",
+            r"show.sample: expected a list of G-code lines or 'manual', got \[3\]",
+        ),
+        (
+            "angle_deg = 8",
+            "angle_deg = 95",
+            r"obstruction.angle_deg: expected a number in 0…90, got 95",
+        ),
+        (
+            "[obstruction]",
+            "[obstrucktion]",
+            r"obstrucktion: expected one of .*, got 'obstrucktion'",
+        ),
         ("[white]\n", "[white\n", r"not valid TOML"),
         ("[colorimeter]", "colorimeter = 3\n[other]", r"other|colorimeter"),
     ],
@@ -221,5 +289,7 @@ def test_what_a_rig_states_of_its_uncertainty(tmp_path: Path) -> None:
     assert found.position_std_deg == (0.0, 0.02, 0.02)
     assert (found.wavelength_std_nm, found.xyz_std) == (0.2, 0.01)
     path.write_text(RIG.replace('letter = "A"', 'letter = "A"\nzero_std_deg = -1'))
-    with pytest.raises(InputError, match=r"incidence.zero_std_deg: -1; a number in 0…10"):
+    with pytest.raises(
+        InputError, match=r"incidence.zero_std_deg: expected a number in 0…10, got -1"
+    ):
         load_rig(path)

@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from raden_torch.capture.spectrometer.cells import grid
 from raden_torch.capture.spectrometer.journal import (
     JournalFile,
     read_journal,
 )
-from raden_torch.capture.spectrometer.plan import FixedPlan, make_plan
 from raden_torch.capture.spectrometer.ports import (
     ConnectionLostError,
     InstrumentBusyError,
@@ -26,11 +24,13 @@ from raden_torch.capture.spectrometer.ports import (
 )
 from raden_torch.capture.spectrometer.reduction import reduce_readings
 from raden_torch.capture.spectrometer.scan import (
-    Patience,
+    RetryPolicy,
     ScanStoppedError,
     check_resumable,
     run_scan,
 )
+from raden_torch.capture.spectrometer.scan_cells import grid
+from raden_torch.capture.spectrometer.scan_plan import FixedPlan, make_plan
 from raden_torch.errors import InputError
 
 
@@ -53,7 +53,7 @@ def scan(tmp_path: Path, fake, goniometer, colorimeter, header) -> Callable[...,
                 journal,
                 goniometer,
                 colorimeter,
-                patience=Patience(attempts, sleep=fake.sleep),
+                retry_policy=RetryPolicy(attempts, sleep=fake.sleep),
                 clock=fake.clock,
                 **options,
             )

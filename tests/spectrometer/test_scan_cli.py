@@ -257,13 +257,25 @@ def test_a_journal_is_not_overwritten_nor_mixed(rig: SimulatedRig, tmp_path: Pat
         (("--simulate",), "name the measurement to write"),
         (("--simulate", "--check", "--resume"), "--resume: name the measurement"),
         (("--simulate", "-o", "x.csv", "--yes"), "--yes goes with --check"),
-        (("--simulate", "-o", "no/x.csv"), "does not exist"),
-        (("--config", "none.toml", "-o", "x.csv"), "none.toml: No such file"),
-        (("--simulate", "-o", "x.csv", "--white-every", "0"), "white every 0 min"),
-        (("--simulate", "-o", "x.csv", "--white-readings", "1"), "1 white readings"),
+        (("--simulate", "-o", "no/x.csv"), "expected an existing folder, got "),
+        (
+            ("--config", "none.toml", "-o", "x.csv"),
+            "none.toml: expected a rig file, got an error: No such file",
+        ),
+        (
+            ("--simulate", "-o", "x.csv", "--white-every", "0"),
+            "white interval: expected more than 0 min, got 0 min",
+        ),
+        (
+            ("--simulate", "-o", "x.csv", "--white-readings", "1"),
+            "white readings: expected 2…1000 (two at least",
+        ),
         (("--simulate", "-o", "x.csv", "--resume", "--white-every", "5"), "are in the journal"),
-        (("--simulate", "-o", "x.csv", "--stands-at", "1,2"), "--stands-at 1,2"),
-        (("--simulate", "-o", "x.csv", "--fault", "rain=1"), "--fault rain: is not known"),
+        (
+            ("--simulate", "-o", "x.csv", "--stands-at", "1,2"),
+            "--stands-at: expected three numbers as 1,1,2, got 1,2",
+        ),
+        (("--simulate", "-o", "x.csv", "--fault", "rain=1"), "--fault: expected one of "),
     ],
 )
 def test_wrong_options(options: tuple, message: str) -> None:
@@ -274,14 +286,17 @@ def test_wrong_options(options: tuple, message: str) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--step", "3"), "not a whole number of steps"),
-        (("--step", "0"), "step = 0 deg"),
-        (("--incidence", "0-70"), "--incidence 0-70"),
+        (("--step", "3"), "expected a whole number of steps of 3 deg, got "),
+        (("--step", "0"), "step: expected more than 0 deg, got 0"),
+        (
+            ("--incidence", "0-70"),
+            "--incidence: expected first and last in degrees, as 0:70, got 0-70",
+        ),
         (("--plan", "random", "--step", "5"), "shape a grid"),
         (("--readings", "5"), "--readings goes with --plan random"),
         (("--plan", "none.csv"), "none.csv"),
-        (("--repeats", "0"), "repeats = 0"),
-        (("--resume",), "no journal to resume"),
+        (("--repeats", "0"), "repeats: expected 1…100, got 0"),
+        (("--resume",), "expected a journal to resume, got none"),
     ],
 )
 def test_wrong_plans_write_nothing(

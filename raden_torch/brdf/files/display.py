@@ -45,7 +45,7 @@ def check_picture_path(
     path = Path(path)
     if path.suffix.lower() not in suffixes:
         wanted = ", ".join(suffixes)
-        raise InputError(f"{path}: suffix {path.suffix or '(none)'}; one of {wanted} was wanted")
+        raise InputError(f"{path}: suffix: expected one of {wanted}, got {path.suffix or '(none)'}")
     check_writable(path)
 
 

@@ -47,7 +47,7 @@ class Layers:
     def of(cls, file: ExrRows, chosen: Mapping[str, str] | None) -> Layers:
         unknown = [name for name in chosen or {} if name not in NAMES]
         if unknown:
-            raise InputError(f"channels: {unknown[0]!r}; {', '.join(NAMES)} were wanted")
+            raise InputError(f"channels: expected {', '.join(NAMES)}, got {unknown[0]!r}")
         channels = {key: (part, name) for key, part, name in file.keys}
         if len({part for part, _ in channels.values()}) > 1:
             for _, part, name in file.keys:

@@ -142,9 +142,9 @@ class GBufferFile:
         memory: int | None = None,
     ) -> None:
         if view is not None and camera is not None:
-            raise InputError(f"{path}: view and camera are both given; one of them was wanted")
+            raise InputError(f"{path}: expected view or camera, got both")
         if not 0 <= smooth_px <= MAX_SMOOTH_PX:
-            raise InputError(f"smooth_px {smooth_px:g}; 0…{MAX_SMOOTH_PX:g} pixels were wanted")
+            raise InputError(f"smooth_px: expected 0…{MAX_SMOOTH_PX:g} pixels, got {smooth_px:g}")
         self.path, self._camera, self._view, self._smooth_px = path, camera, view, smooth_px
         self._is_declared, self._kind = depth is not None, depth_kind(depth or "planar")
         self._axes = NormalAxes.of(xyz)
@@ -169,8 +169,8 @@ class GBufferFile:
     def is_empty(self) -> InputError:
         """What to raise where no pixel of all rows is valid."""
         return InputError(
-            f"{self.path}: no valid pixel; normals that are not zero, depth between 0 and {FAR:g} "
-            "and a mask above 0 were wanted"
+            f"{self.path}: expected normals that are not zero, depth between 0 and {FAR:g} and a "
+            "mask above 0, got no valid pixel"
         )
 
     def _normals(self, layers: Layers) -> tuple[tuple[Key, ...] | None, bool]:
@@ -206,8 +206,8 @@ class GBufferFile:
             raise at_origin
         if len(self.bands) > 1:
             raise InputError(
-                f"{self.path}: depth without normals, which are made of the whole image at once: "
-                "more memory, or an image with normals, was wanted"
+                f"{self.path}: expected normals, got depth alone, from which normals are computed "
+                "on the whole image at once: allow more memory, or add normals to the image"
             )
 
     def _read(self, keys: tuple[Key, ...] | None, top: int, bottom: int) -> Tensor | None:
@@ -306,7 +306,7 @@ def read_colour(
 def write_image(image: Tensor, path: str | os.PathLike[str]) -> None:
     """Write scene-linear `[1, 3, H, W]` RGB as an EXR of half floats, cut off at ±65504."""
     if image.ndim != 4 or image.shape[:2] != (1, 3):
-        raise InputError(f"{path}: image of shape {list(image.shape)}; [1, 3, H, W] was wanted")
+        raise InputError(f"{path}: image: expected shape [1, 3, H, W], got {list(image.shape)}")
     write_channels(path, in_halves(image), half=True)
 
 
@@ -346,8 +346,8 @@ def _bands(file: ExrRows, memory: int | None) -> list[tuple[int, int]]:
     rows = rows // step * step
     if rows == 0:
         raise InputError(
-            f"{file.path}: memory {memory} bytes; {min(step, height) * a_row} were wanted for "
-            f"{min(step, height)} rows, the least that can be read at once"
+            f"{file.path}: memory: expected at least {min(step, height) * a_row} bytes for "
+            f"{min(step, height)} rows, the fewest that can be read at once, got {memory}"
         )
     return [(top, min(top + rows, height)) for top in range(0, height, rows)]
 

@@ -173,7 +173,7 @@ def _exr_photograph(path: str | os.PathLike[str]) -> Photograph:
         colour = torch.nan_to_num(stacked(file, grey * 3, 0, file.size[0]), posinf=0, neginf=0)
     if colour is None:
         names = ", ".join(key for key, _, _ in file.keys)
-        raise InputError(f"{path}: no R, G, B; it has {names}")
+        raise InputError(f"{path}: expected channels R, G, B, got {names}")
     matrix = exr_matrix(path)
     if matrix is not None:
         colour = torch.einsum("ij,bjhw->bihw", torch.from_numpy(matrix).float(), colour)
@@ -250,7 +250,10 @@ def read_normal_map(
     else:
         pixels = read_pixels(path, colour=False)
         if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
-            raise InputError(f"{path}: a normal map of three channels was wanted")
+            raise InputError(
+                f"{path}: expected a normal map of three channels, got an image of shape "
+                f"{list(pixels.shape)}"
+            )
         if Path(path).suffix.lower() in (".jpg", ".jpeg"):
             warnings.warn(
                 f"{path}: an 8-bit JPEG holds normals badly (its blocks tilt them by degrees); "
@@ -303,5 +306,6 @@ def _check_suffix(path: str | os.PathLike[str], suffixes: tuple[str, ...], what:
     suffix = Path(path).suffix.lower()
     if suffix not in suffixes:
         raise InputError(
-            f"{path}: {what} goes into {', '.join(suffixes)}, not {suffix or '(none)'}"
+            f"{path}: {what}: expected a file name that ends in {', '.join(suffixes)}, got "
+            f"{suffix or '(none)'}"
         )

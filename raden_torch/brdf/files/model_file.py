@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
-from raden_torch.brdf.model.table import Pieces, ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, written_beside
 
@@ -79,7 +79,7 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
         raise InputError(f"{path}: a raden_torch model with wrong content: {reason}") from None
     for name, value in model.named_parameters():
         if not torch.isfinite(value).all():
-            raise InputError(f"{path}: {name} holds values that are not finite")
+            raise InputError(f"{path}: {name}: expected finite values, got some that are not")
     return model
 
 
@@ -95,7 +95,7 @@ def _read_about(path: Path) -> dict[str, Any]:
                 raise InputError(ours)
             header = json.loads(file.read(length))
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; a model file was wanted") from None
+        raise InputError(f"{path}: expected a model file, got an error: {error.strerror}") from None
     except ValueError as error:
         if isinstance(error, InputError):
             raise
@@ -110,7 +110,7 @@ def _read_about(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: a raden_torch model with damaged metadata") from None
     if version > VERSION:
         raise InputError(
-            f"{path}: model format {version}; this raden_torch reads up to {VERSION}; update it"
+            f"{path}: model format: expected up to {VERSION}, got {version}; update raden_torch"
         )
     return dict(about)
 

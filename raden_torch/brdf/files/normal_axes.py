@@ -32,12 +32,12 @@ class NormalAxes:
             InputError: anything but each of r, g and b once.
         """
         if green not in ("opengl", "directx"):
-            raise InputError(f"green {green!r}: opengl or directx was wanted")
+            raise InputError(f"green: expected opengl or directx, got {green!r}")
         parts = text.replace(" ", "").lower().split(",")
         names = [part.lstrip("+-") for part in parts]
         if sorted(names) != ["b", "g", "r"] or any(len(part) > 2 for part in parts):
             raise InputError(
-                f"normal xyz {text!r}; the channels of x,y,z were wanted, as in r,-g,b or b,g,r"
+                f"normal xyz: expected the channels of x,y,z, as in r,-g,b or b,g,r, got {text!r}"
             )
         x, y, z = ("rgb".index(name) for name in names)
         sx, sy, sz = (-1 if part.startswith("-") else 1 for part in parts)

@@ -91,7 +91,7 @@ def _of_length(v: Tensor, is_coded: bool) -> str | None:
     """What `[N, 3]` decoded vectors seem to be, where they are no normals."""
     unit = _is_unit(v)
     if is_coded and float(v[:, 2].max()) < -0.95:
-        return "blue is 0 everywhere: only x and y are stored; z was wanted, too"
+        return "expected x, y and z, got only x and y (blue is 0 everywhere)"
     if unit >= 1 - OFF_SHARE:
         return None
     if not is_coded:
@@ -107,7 +107,7 @@ def _of_length(v: Tensor, is_coded: bool) -> str | None:
 
     said = f"{1 - unit:.0%} of the normals are not of unit length; "
     if float(((s - s.mean(dim=1, keepdim=True)).abs() < 0.02).all(dim=1).float().mean()) > 0.9:
-        return said + "it is grey: a height map? A normal map was wanted"
+        return said + "expected a normal map, got a grey image, perhaps a height map"
     if recoded(rgb_to_linear_rgb) >= EXPLAINED:
         return said + "they would be without the sRGB curve: save the map as linear (non-colour)"
     if recoded(linear_rgb_to_rgb) >= EXPLAINED:
@@ -119,7 +119,7 @@ def _of_length(v: Tensor, is_coded: bool) -> str | None:
         return said + "blue is the same everywhere, as if x and y alone were stored"
     is_longer = torch.linalg.vector_norm(s, dim=1) > 1 + OFF_LENGTH
     if _is_unit(s) >= 0.2 and float(is_longer.float().mean()) < 0.1:
-        return said + "they seem to hold n cut off at 0; (n + 1)/2 was wanted"
+        return said + "expected (n + 1)/2, got what seems to be n cut off at 0"
     return said + "is it a picture, not a normal map?"
 
 
@@ -135,8 +135,8 @@ def _of_axes(v: Tensor, there: Tensor, axes: NormalAxes, step: float) -> str | N
             base = facing
         elif away > 0.5:
             return (
-                f"{away:.0%} of the normals face away from the viewer, and stay black; x right, "
-                "y up, z to the viewer was wanted"
+                f"expected x right, y up, z to the viewer, got {away:.0%} of the normals facing "
+                "away from the viewer; they stay black"
             )
     best, clearer = _least_curl(v, there, base, step)
     if best == axes:

@@ -25,11 +25,11 @@ def pinhole_matrix(
             is height and width.
     """
     if intrinsics is not None and fov_deg is not None:
-        raise InputError("intrinsics and fov_deg are both given; one of them was wanted")
+        raise InputError("camera: expected intrinsics or fov_deg, got both")
     height, width = size
     if fov_deg is not None:
         if not 0 < fov_deg < 180:
-            raise InputError(f"fov_deg {fov_deg:g}; an angle between 0 and 180 was wanted")
+            raise InputError(f"fov_deg: expected an angle between 0 and 180, got {fov_deg:g}")
         focal = width / 2 / tan(radians(fov_deg) / 2)
         centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
         intrinsics = np.array([[focal, 0, centre_x], [0, focal, centre_y], [0, 0, 1]])
@@ -39,7 +39,8 @@ def pinhole_matrix(
     usable = matrix.shape == (3, 3) and bool(torch.isfinite(matrix).all())
     if not usable or float(matrix[0, 0]) <= 0 or float(matrix[1, 1]) <= 0:
         raise InputError(
-            f"intrinsics {matrix.tolist()}; a matrix [3, 3] with focal lengths above 0 was wanted"
+            "intrinsics: expected a matrix [3, 3] with focal lengths above 0, got "
+            f"{matrix.tolist()}"
         )
     return matrix
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from raden_torch.arrays import Floats, Ints
-from raden_torch.brdf.model.table import Pieces
+from raden_torch.brdf.model.reflectance_table import Pieces
 from raden_torch.reflectance.continuation import Continued
 from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.interpolation import Interpolant
@@ -29,7 +29,7 @@ _MARGIN = 2.0  # measured steps beyond the box along receiving that a cell at it
 
 
 @dataclass(frozen=True)
-class Baked:
+class BakedTable:
     """A table `[X, Y, Z, C]` of reflectance factors, and its cuts (see `ReflectanceTable`)."""
 
     values: Floats
@@ -42,7 +42,7 @@ def bake(
     seed: int = 0,
     *,
     like: Interpolant | None = None,
-) -> Baked:
+) -> BakedTable:
     """Cut the cells and write the function into the nodes.
 
     Args:
@@ -66,7 +66,7 @@ def bake(
     values[used] = function(angles[used])
     if function.grid.is_mirrored:
         _average_equivalents(values, len(pieces[0]), pieces[1])
-    return Baked(values, pieces)
+    return BakedTable(values, pieces)
 
 
 def _longer(pieces: Pieces, inner: AngleGrid, whole: AngleGrid) -> Pieces:

@@ -39,9 +39,11 @@ class DiffuseParameters:
         for name in ("scale", "exponent"):
             values = getattr(self, name)
             if len(values) != 3 or not np.isfinite(values).all() or min(values) < 0:
-                raise InputError(f"diffuse {name} {values}: three finite numbers >= 0 were wanted")
+                raise InputError(
+                    f"diffuse {name}: expected three finite numbers >= 0, got {values}"
+                )
         if min(self.exponent) <= 0:
-            raise InputError(f"diffuse exponent {self.exponent}: it must be > 0")
+            raise InputError(f"diffuse exponent: expected above 0, got {self.exponent}")
 
 
 def fit_diffuse(angles: tuple[Floats, Floats, Floats], f_r: Floats) -> DiffuseParameters:

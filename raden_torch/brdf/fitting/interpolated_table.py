@@ -11,7 +11,7 @@ import torch
 from raden_torch.arrays import Floats
 from raden_torch.brdf.fitting.bake import bake
 from raden_torch.brdf.fitting.tabulate import Tabulated
-from raden_torch.brdf.model.table import Pieces, ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
@@ -52,12 +52,20 @@ def choose_interpolation(
         InputError: see `fit`.
     """
     if wanted not in ("auto", *SCHEMES, KRIGING):
-        raise InputError(f"interpolation {wanted!r}: auto, {', '.join(SCHEMES)}, {KRIGING} wanted")
+        raise InputError(
+            f"interpolation: expected auto, {', '.join(SCHEMES)} or {KRIGING}, got {wanted!r}"
+        )
     if wanted == KRIGING and table.scattered is None:
-        raise InputError("interpolation kriging: is for scattered readings; these fill a grid")
+        raise InputError(
+            "interpolation: expected another than kriging, which is for scattered readings, got "
+            "readings that fill a grid"
+        )
     reason = why_not(table.grid)
     if reason and wanted not in ("auto", "trilinear"):
-        raise InputError(f"interpolation {wanted}: {reason}; trilinear supports this measurement")
+        raise InputError(
+            f"interpolation: expected trilinear or auto for this measurement, got {wanted}: "
+            f"{reason}"
+        )
     if wanted != "auto":
         return Choice(wanted, "as asked for")
     if reason:
@@ -131,15 +139,15 @@ def _validation_points(table: Tabulated, validation: BrdfMeasurement) -> tuple[F
     usable = validation.select(validation.valid)
     if len(usable) < LEAST_READINGS:
         raise InputError(
-            f"validation: {len(usable)} valid readings; at least {LEAST_READINGS} off the grid are "
-            "needed to choose by"
+            f"validation: expected at least {LEAST_READINGS} valid readings off the grid, got "
+            f"{len(usable)}"
         )
     points = usable.angles_deg
     outside = int((~table.grid.contains(points)).sum())
     if outside:
         box = ", ".join(f"{axis[0]:g}…{axis[-1]:g}" for axis in table.grid)
         raise InputError(
-            f"validation: {outside} of {len(usable)} readings lie outside the measured box "
-            f"(incidence, receiving, tilt {box} deg); leave them out"
+            "validation: expected readings within the measured box (incidence, receiving, tilt "
+            f"{box} deg), got {outside} of {len(usable)} outside it; leave them out"
         )
     return points, usable.as_xyz().values[:, LUMINANCE]

@@ -53,7 +53,7 @@ def score_of(factors: NDArray[np.float64], readings: BrdfMeasurement) -> Score:
         InputError: no valid reading.
     """
     if not readings.valid.any():
-        raise InputError("score: no valid reading to compare with")
+        raise InputError("score: expected a valid reading to compare with, got none")
     valid = readings.select(readings.valid)
     measured = valid.as_xyz().values[:, 1]
     to_y = np.linalg.inv(xyz_to_rgb_matrix())[1]

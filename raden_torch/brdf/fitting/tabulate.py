@@ -172,7 +172,7 @@ def _derived(measurement: BrdfMeasurement) -> Tabulated:
 def _check_readings(measurement: BrdfMeasurement) -> None:
     _check_coverage(measurement)
     if not measurement.valid.any():
-        raise InputError("measurement: none of its readings is valid; nothing can be fitted")
+        raise InputError("measurement: expected valid readings, got none; nothing can be fitted")
 
 
 def _readings(
@@ -204,9 +204,9 @@ def _check_coverage(measurement: BrdfMeasurement) -> None:
         return
     advice = dict(measurement.metadata.other).get("next", "")
     raise InputError(
-        f"measurement: {100 * share:.1f} % of its {len(measurement)} cells hold a reading; "
-        f"{100 * LEAST_COVERAGE:g} % at least were wanted, since the rest is guessed from them; "
-        "measure more" + (f", with {advice}" if advice else "")
+        f"measurement: expected readings in at least {100 * LEAST_COVERAGE:g} % of its "
+        f"{len(measurement)} cells, since the other cells are estimated from them, got "
+        f"{100 * share:.1f} %; measure more" + (f", with {advice}" if advice else "")
     )
 
 
@@ -243,8 +243,8 @@ def _uniform(grid: ReadingGrid) -> ReadingGrid | None:
     shape = tuple(len(axis) for axis in axes)
     if np.prod(shape, dtype=np.float64) > _MAX_CELLS:
         raise InputError(
-            f"measurement: a table of {' x '.join(map(str, shape))} nodes was asked for; at most "
-            f"{_MAX_CELLS} are made"
+            f"measurement: expected a table of at most {_MAX_CELLS} nodes, got "
+            f"{' x '.join(map(str, shape))}"
         )
     values = np.full((*shape, grid.values.shape[-1]), np.nan)
     values[np.ix_(*places)] = grid.values

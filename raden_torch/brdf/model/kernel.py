@@ -2,7 +2,7 @@
 
 `RadenBrdf` and `shade` take it by themselves where the tensors are on the CPU in single (or half)
 precision. The eager torch form stays the reference: the kernel computes the same formulas
-(`geometry.py`, `diffuse.py`, `table.py`) and their gradients, and is tested against it.
+(`geometry.py`, `diffuse.py`, `reflectance_table.py`) and their gradients, and is tested against it.
 
 It is registered as the torch operators `raden_torch::brdf`, its gradient
 `raden_torch::brdf_backward`, and `raden_torch::shade` (which has none: with gradients `shade` calls
@@ -313,7 +313,7 @@ torch.library.register_autograd("raden_torch::brdf", _gradient, setup_context=_k
 def _eager(normal: Tensor, light: Tensor, view: Tensor, *arguments: Any) -> Tensor:
     """The eager form as a function of the operator's arguments, for gradients of gradients."""
     from raden_torch.brdf.model.model import CosineDiffuse, RadenBrdf
-    from raden_torch.brdf.model.table import ReflectanceTable
+    from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 
     values, cuts, first_deg, step_deg, scale, exponent, diffuse_gain, specular_gain = arguments
     pieces: Any = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from raden_torch import geometry
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.diffuse import diffuse
-from raden_torch.brdf.model.table import ReflectanceTable
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.errors import InputError
 
 
@@ -146,8 +146,8 @@ class RadenBrdf(nn.Module):
         for name, p in self.named_parameters():
             if p.device != like.device:
                 raise InputError(
-                    f"model {name} on {p.device}, maps on {like.device}: one device was wanted; "
-                    f"use model.to({str(like.device)!r})"
+                    f"model and maps: expected one device, got model {name} on {p.device}, maps "
+                    f"on {like.device}; use model.to({str(like.device)!r})"
                 )
 
     def working_dtype(self, *maps: Tensor) -> torch.dtype:

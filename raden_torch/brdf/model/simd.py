@@ -29,7 +29,9 @@ def _level_asked_for() -> str:
     asked = os.environ.get(VARIABLE, "")
     choices = (*LEVELS, OFF)
     if asked and asked not in choices:
-        raise InputError(f"{VARIABLE}={asked}: one of {', '.join(choices)} was wanted here")
+        raise InputError(
+            f"{VARIABLE}: expected one of {', '.join(choices)} on this machine, got {asked}"
+        )
     return asked or (LEVELS[-1] if LEVELS else OFF)
 
 
@@ -46,7 +48,9 @@ def using(name: str) -> Iterator[None]:
     """Within the block, take this instruction set; "off" takes the eager form."""
     global _level
     if name not in (*LEVELS, OFF):
-        raise InputError(f"kernel {name}: one of {', '.join((*LEVELS, OFF))} was wanted here")
+        raise InputError(
+            f"kernel: expected one of {', '.join((*LEVELS, OFF))} on this machine, got {name}"
+        )
     before, _level = _level, name
     try:
         yield

@@ -39,7 +39,7 @@ def depth_kind(name: str) -> DepthKind:
         InputError: neither of `KINDS`.
     """
     if name not in KINDS:
-        raise InputError(f"depth kind {name!r}; {', '.join(KINDS)} were wanted")
+        raise InputError(f"depth kind: expected {' or '.join(KINDS)}, got {name!r}")
     return RENDERERS.get(name) or cast(DepthKind, name)
 
 

@@ -40,8 +40,8 @@ class GBuffer:
         if not isinstance(self.normal, Tensor) or self.normal.ndim != 4:
             shape = list(getattr(self.normal, "shape", [type(self.normal).__name__]))
             raise InputError(
-                f"GBuffer normal: {shape}; a tensor [B, 3, H, W] was wanted"
-                f"{geometry.how_to_convert(self.normal)}"
+                "GBuffer normal: expected a tensor [B, 3, H, W], got "
+                f"{shape}{geometry.how_to_convert(self.normal)}"
             )
         view = self.view
         if view is None and (self.position is None or self.camera is None):
@@ -87,11 +87,12 @@ class GBuffer:
 
         if depth.ndim != 4 or depth.shape[1] != 1 or not depth.is_floating_point():
             raise InputError(
-                f"depth: {depth.dtype} {list(depth.shape)}; floating-point [B, 1, H, W] was wanted"
+                f"depth: expected floating-point [B, 1, H, W], got {depth.dtype} "
+                f"{list(depth.shape)}"
             )
         if intrinsics.shape[-2:] != (3, 3) or intrinsics.ndim not in (2, 3):
             raise InputError(
-                f"intrinsics: shape {list(intrinsics.shape)}; [3, 3] or [B, 3, 3] was wanted"
+                f"intrinsics: expected shape [3, 3] or [B, 3, 3], got {list(intrinsics.shape)}"
             )
         dtype = geometry.working_dtype(depth)
         matrix = intrinsics.to(depth.device, dtype).expand(len(depth), 3, 3)
@@ -122,8 +123,8 @@ class GBuffer:
         fits = fits and all(m in (1, n) for m, n in zip(mask.shape, size, strict=True))
         if not fits:
             raise InputError(
-                f"GBuffer mask: shape {list(mask.shape)}; "
-                f"{[size[0], 1, *size[2:]]} was wanted for normal {list(size)}"
+                f"GBuffer mask: expected shape {[size[0], 1, *size[2:]]} for normal {list(size)}, "
+                f"got {list(mask.shape)}"
             )
 
 
@@ -151,5 +152,5 @@ def coverage(mask: Tensor) -> Tensor:
 def _triple(name: str, value: Triple, like: Tensor) -> Tensor:
     tensor = torch.as_tensor(value)
     if tensor.shape[-1:] != (3,) or tensor.ndim not in (1, 2):
-        raise InputError(f"GBuffer {name}: shape {list(tensor.shape)}; [3] or [B, 3] was wanted")
+        raise InputError(f"GBuffer {name}: expected shape [3] or [B, 3], got {list(tensor.shape)}")
     return as_map(tensor, like)

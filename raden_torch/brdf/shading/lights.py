@@ -80,8 +80,8 @@ class SpotLight:
         _check(self, position=self.position, target=self.target, intensity=self.intensity)
         if not 0 <= self.inner_deg < self.outer_deg <= 180:
             raise InputError(
-                f"SpotLight: inner_deg {self.inner_deg:g}, outer_deg {self.outer_deg:g}; "
-                "0 <= inner < outer <= 180 was wanted"
+                "SpotLight: expected 0 <= inner_deg < outer_deg <= 180, got inner_deg "
+                f"{self.inner_deg:g}, outer_deg {self.outer_deg:g}"
             )
 
     def at(self, position: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
@@ -178,12 +178,12 @@ def _check(light: object, **triples: Colour) -> None:
         try:
             tensor = torch.as_tensor(value, dtype=torch.float64)
         except (TypeError, ValueError, RuntimeError):
-            raise InputError(f"{where} = {value!r}; three numbers were wanted") from None
+            raise InputError(f"{where}: expected three numbers, got {value!r}") from None
         if tensor.ndim == 0 and name in ("irradiance", "intensity"):
             tensor = tensor.expand(3)
         if tensor.ndim not in (1, 2) or tensor.shape[-1] != 3:
-            raise InputError(f"{where} has shape {list(tensor.shape)}; [3] or [B, 3] was wanted")
+            raise InputError(f"{where}: expected shape [3] or [B, 3], got {list(tensor.shape)}")
         if not torch.isfinite(tensor).all():
-            raise InputError(f"{where} = {value!r} is not finite; three finite numbers were wanted")
+            raise InputError(f"{where}: expected three finite numbers, got {value!r}")
         if name == "direction" and (tensor == 0).all(dim=-1).any():
-            raise InputError(f"{where} is zero; a direction towards the light was wanted")
+            raise InputError(f"{where}: expected a direction towards the light, got zero")

@@ -126,7 +126,7 @@ def lamp_ring(count: int, elevation_deg: float = 40.0) -> list[DirectionalLight]
         elevation_deg: their angle above the image plane.
     """
     if not 1 <= count <= 360:
-        raise InputError(f"lamps: {count} in a ring; 1…360 was wanted")
+        raise InputError(f"lamps: expected a ring of 1…360, got {count}")
     flat, up = math.cos(math.radians(elevation_deg)), math.sin(math.radians(elevation_deg))
     turns = [2 * math.pi * k / count for k in range(count)]
     return [DirectionalLight((flat * math.cos(t), flat * math.sin(t), up)) for t in turns]
@@ -160,11 +160,12 @@ def tiled(images: Tensor, columns: int) -> Tensor:
 def _check_sizes(photo: Tensor, normal: Tensor, mask: Tensor) -> None:
     for name, m, channels in (("photo", photo, 3), ("normals", normal, 3), ("mask", mask, 1)):
         if m.ndim != 4 or m.shape[1] != channels or m.shape[0] not in (1, photo.shape[0]):
-            raise InputError(f"{name}: shape {list(m.shape)}; [B, {channels}, H, W] was wanted")
+            raise InputError(f"{name}: expected shape [B, {channels}, H, W], got {list(m.shape)}")
         if m.shape[2:] != photo.shape[2:]:
             (h, w), (ph, pw) = m.shape[2:], photo.shape[2:]
-            raise InputError(
-                f"{name}: {w} x {h} pixels, the photograph has {pw} x {ph}; equal sizes"
-            )
+            raise InputError(f"{name}: expected the photograph's {pw} x {ph} pixels, got {w} x {h}")
     if not (mask > 0).any():
-        raise InputError("mask: it is empty: nothing would be relit")
+        raise InputError(
+            "mask: expected a mask that is above 0 somewhere, got an empty one: nothing would be "
+            "relit"
+        )

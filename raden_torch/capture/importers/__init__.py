@@ -54,6 +54,6 @@ def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
         if fmt.recognises(text):
             return fmt.read(path)
     raise InputError(
-        f"{path}: no known measurement format; a CSV with the columns "
-        "incidence_deg,receiving_deg,tilt_deg,X,Y,Z is one"
+        f"{path}: expected a measurement, as a CSV with the columns "
+        "incidence_deg,receiving_deg,tilt_deg,X,Y,Z, got an unknown format"
     )

@@ -118,27 +118,28 @@ def _read_header(path: Path, lines: list[str]) -> _Header:
             return header
         if not _KEYWORD.fullmatch(key):
             raise InputError(
-                f"{path}: line {at}: {shown(line.strip())}; a KEYWORD and its value, or VARS, "
-                "was wanted"
+                f"{path}: line {at}: expected a KEYWORD and its value, or VARS, got "
+                f"{shown(line.strip())}"
             )
         if key == "NUM_POINTS":
             header.points = whole_number(path, at, key, value, MAX_POINTS)
         header.entries[key] = value.strip('"')
     raise InputError(
-        f"{path}: it has no line 'VARS {','.join(_ANGLES)},<channels>'; it is truncated"
+        f"{path}: expected a line 'VARS {','.join(_ANGLES)},<channels>', got none: it is truncated"
     )
 
 
 def _check_columns(path: Path, line: int, columns: list[str]) -> None:
     missing = [name for name in _ANGLES if name not in columns]
     if missing or len(set(columns)) != len(columns) or len(columns) <= len(_ANGLES):
-        wrong = f"{', '.join(missing)} missing" if missing else "a name twice, or no channel"
+        wrong = f"no {', '.join(missing)}" if missing else "a name twice, or no channel"
         raise InputError(
-            f"{path}: line {line}: VARS: {wrong}; '{','.join(_ANGLES)},<channels>' was wanted"
+            f"{path}: line {line}: VARS: expected '{','.join(_ANGLES)},<channels>', got {wrong}"
         )
     if len(columns) > _MAX_COLUMNS:
         raise InputError(
-            f"{path}: line {line}: VARS: {len(columns)} columns; at most {_MAX_COLUMNS}"
+            f"{path}: line {line}: VARS: expected at most {_MAX_COLUMNS} columns, got "
+            f"{len(columns)}"
         )
 
 
@@ -147,16 +148,16 @@ def _read_rows(path: Path, lines: list[str], header: _Header) -> Floats:
     width, points = len(header.columns), header.points
     rows = [(at, line) for at, line in enumerate(lines, 1) if at > header.lines and line.strip()]
     if not rows or (points is not None and points != len(rows)):
-        claim = "at least one was wanted" if points is None else f"NUM_POINTS is {points}"
+        claim = "at least one reading" if points is None else f"{points} readings (NUM_POINTS)"
         raise InputError(
-            f"{path}: {len(rows)} readings below VARS, {claim}; the file is truncated or the "
+            f"{path}: expected {claim} below VARS, got {len(rows)}; the file is truncated or the "
             "header is wrong"
         )
     table = np.empty((len(rows), width))
     for row, (at, line) in enumerate(rows):
         cells = line.replace(",", " ").split()
         if len(cells) != width:
-            raise InputError(f"{path}: line {at}: {len(cells)} numbers, {width} were wanted")
+            raise InputError(f"{path}: line {at}: expected {width} numbers, got {len(cells)}")
         table[row] = [
             number(path, at, name, cell) for name, cell in zip(header.columns, cells, strict=True)
         ]
@@ -177,8 +178,8 @@ def _channels(path: Path, header: _Header, names: list[str]) -> tuple[tuple[str,
         note = "" if stated else f"the file names no wavelength, the band is called {nm:g} nm"
         return (f"{nm:g}nm",), note
     raise InputError(
-        f"{path}: line {header.lines}: VARS: channels {', '.join(names[:8])}; X,Y,Z or R,G,B or "
-        "bands as 550nm were wanted"
+        f"{path}: line {header.lines}: VARS: channels: expected X,Y,Z or R,G,B or bands as 550nm, "
+        f"got {', '.join(names[:8])}"
     )
 
 
@@ -196,8 +197,8 @@ def _check_degrees(path: Path, header: _Header, degrees: Floats) -> None:
         if wrong.any():
             row = int(np.argmax(wrong))
             raise InputError(
-                f"{path}: reading {row + 1}, column {name}: {angles[row]:g}; at most {limit:g} "
-                "degrees"
+                f"{path}: reading {row + 1}, column {name}: expected at most {limit:g} degrees, "
+                f"got {angles[row]:g}"
             )
 
 

@@ -99,8 +99,8 @@ def _above_horizon(path: Path, light: Floats, view: Floats, notes: list[str]) ->
     seen: NDArray[np.bool_] = (light[2] > _HORIZON) & (view[2] > _HORIZON)
     if not seen.any():
         raise InputError(
-            f"{path}: in none of its {len(seen)} readings are the light and the viewer above the "
-            "horizon; a reflection measurement was wanted"
+            f"{path}: expected a reflection measurement, got {len(seen)} readings, in none of "
+            "which both the light and the viewer are above the horizon"
         )
     if not seen.all():
         notes.append(f"{int((~seen).sum())} readings from at or below the horizon left out")

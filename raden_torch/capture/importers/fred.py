@@ -64,9 +64,10 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
     begin = next(i for i, line in enumerate(lines) if line.strip()) + 1
     header = _FORMAT.fullmatch(lines[begin].strip()) if begin < len(lines) else None
     if header is None:
+        got = shown(lines[begin].strip()) if begin < len(lines) else "the end of the file"
         raise InputError(
-            f"{path}: line {begin + 1}: 'format angles=deg|sin bsdf=value|log scale=<number>' "
-            "was wanted"
+            f"{path}: line {begin + 1}: expected 'format angles=deg|sin bsdf=value|log "
+            f"scale=<number>', got {got}"
         )
     scale = number(path, begin + 1, "scale", header[3])
     in_degrees = header[1].lower() == "deg"
@@ -104,8 +105,8 @@ def _rows(path: Path, lines: list[str], begin: int, in_degrees: bool) -> Floats:
             continue
         if len(cells) not in (2, 3):
             raise InputError(
-                f"{path}: line {index + 1}: {len(cells)} numbers; 2 (specular direction) or 3 "
-                "(scatter direction, bsdf) were wanted"
+                f"{path}: line {index + 1}: expected 2 numbers (specular direction) or 3 (scatter "
+                f"direction, bsdf), got {len(cells)}"
             )
         values = [number(path, index + 1, c, cell) for c, cell in enumerate(cells, 1)]
         _check_direction(path, index + 1, cells, values, in_degrees)
@@ -113,13 +114,15 @@ def _rows(path: Path, lines: list[str], begin: int, in_degrees: bool) -> Floats:
             specular = values
         elif specular is None:
             raise InputError(
-                f"{path}: line {index + 1}: a reading before any specular direction; "
-                "a line with two numbers was wanted"
+                f"{path}: line {index + 1}: expected a specular direction (a line with two "
+                "numbers), got a reading before any"
             )
         else:
             rows.append([*specular, *values])
     if not rows:
-        raise InputError(f"{path}: it has no readings below its header; the file is truncated")
+        raise InputError(
+            f"{path}: expected readings below its header, got none: the file is truncated"
+        )
     return np.array(rows, np.float64)
 
 
@@ -131,13 +134,13 @@ def _check_direction(
         for column, angle in enumerate((first, second), 1):
             if abs(angle) > _LARGEST_DEG:
                 raise InputError(
-                    f"{path}: line {line}, column {column}: {_COLUMNS[column - 1]} "
-                    f"{shown(cells[column - 1])}; at most {_LARGEST_DEG:g} degrees"
+                    f"{path}: line {line}, column {column}: {_COLUMNS[column - 1]}: expected at "
+                    f"most {_LARGEST_DEG:g} degrees, got {shown(cells[column - 1])}"
                 )
     elif abs(first) > 1 or abs(second) > 1 or first**2 + second**2 > 1:
         raise InputError(
-            f"{path}: line {line}: {first:g}, {second:g} are no direction cosines "
-            "(their squares add up to more than 1)"
+            f"{path}: line {line}: expected direction cosines, whose squares add up to at most 1, "
+            f"got {first:g}, {second:g}"
         )
 
 

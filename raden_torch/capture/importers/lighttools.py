@@ -49,7 +49,8 @@ class _Block:
     def value(self, key: str) -> tuple[int, str]:
         if key not in self.entries:
             raise InputError(
-                f"{self.path}: block from line {self.begin}: no '{key} :' before '{_TABLE}'"
+                f"{self.path}: block from line {self.begin}: expected '{key} :' before "
+                f"'{_TABLE}', got none"
             )
         return self.entries[key]
 
@@ -60,13 +61,13 @@ class _Block:
         count = (end - begin) / step + 1 if step else 0.0
         if not 0.5 < count < _MAX_STEPS + 0.5 or abs(count - round(count)) > 1e-6:
             raise InputError(
-                f"{self.path}: line {entries[0][0]}: {name} from {begin:g} to {end:g} by {step:g} "
-                f"is no row of 1…{_MAX_STEPS} angles"
+                f"{self.path}: line {entries[0][0]}: {name}: expected a row of 1…{_MAX_STEPS} "
+                f"angles, got {begin:g} to {end:g} by {step:g}"
             )
         if max(abs(begin), abs(end)) > 360:
             raise InputError(
-                f"{self.path}: line {entries[0][0]}: {name} from {begin:g} to {end:g}; "
-                "at most 360 degrees"
+                f"{self.path}: line {entries[0][0]}: {name}: expected at most 360 degrees, got "
+                f"{begin:g} to {end:g}"
             )
         return [begin + i * step for i in range(round(count))]
 
@@ -106,8 +107,8 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
             block.entries[key] = (at, text)
     if block.entries or not tables:
         raise InputError(
-            f"{path}: it ends before the '{_TABLE}' of the block from line {block.begin}; "
-            "it is truncated"
+            f"{path}: expected the '{_TABLE}' of the block from line {block.begin}, got the end "
+            "of the file: it is truncated"
         )
     other = tuple((key, first.entries[key][1]) for key in _KEPT if key in first.entries)
     sample = first.entries.get(_FIRST_KEY, (0, ""))[1]
@@ -117,8 +118,8 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
 def _check_entry(path: Path, line: int, text: str) -> None:
     if ":" not in text:
         raise InputError(
-            f"{path}: line {line}: {shown(text.strip())}; a 'key : value' line or "
-            f"'{_TABLE}' with its rows was wanted"
+            f"{path}: line {line}: expected a 'key : value' line or '{_TABLE}' with its rows, got "
+            f"{shown(text.strip())}"
         )
 
 
@@ -127,29 +128,29 @@ def _table(block: _Block, lines: list[str], at: int, incidence: str) -> RtTable:
     path = block.path
     kind_at, kind = block.value("Data file type")
     if kind != _KIND:
-        raise InputError(f"{path}: line {kind_at}: {shown(kind)}; '{_KIND}' was wanted")
+        raise InputError(f"{path}: line {kind_at}: expected '{_KIND}', got {shown(kind)}")
     tilt = number(path, at, 2, incidence)
     if not 0 <= tilt <= 90:
-        raise InputError(f"{path}: line {at}: {_TABLE} {tilt:g}; 0…90 degrees were wanted")
+        raise InputError(f"{path}: line {at}: {_TABLE}: expected 0…90 degrees, got {tilt:g}")
     receive, azimuth = block.steps("Theta"), block.steps("Phi")
     if len(receive) > len(lines) - at:
         raise InputError(
-            f"{path}: line {at}: its header claims {len(receive)} rows, {len(lines) - at} lines "
-            "follow; the file is truncated or the header is wrong"
+            f"{path}: line {at}: expected {len(receive)} rows by its header, got "
+            f"{len(lines) - at} lines; the file is truncated or the header is wrong"
         )
     rows = []
     for index, angle in enumerate(receive, at):
         cells = lines[index].split()
         if len(cells) != 1 + len(azimuth):
             raise InputError(
-                f"{path}: line {index + 1}: {len(cells)} numbers; an angle and {len(azimuth)} "
-                "values were wanted"
+                f"{path}: line {index + 1}: expected an angle and {len(azimuth)} values, got "
+                f"{len(cells)} numbers"
             )
         values = [number(path, index + 1, c, cell) for c, cell in enumerate(cells, 1)]
         if abs(values[0] - angle) > 1e-3:
             raise InputError(
-                f"{path}: line {index + 1}, column 1: {values[0]:g}; by its header {angle:g} "
-                "degrees were wanted"
+                f"{path}: line {index + 1}, column 1: expected {angle:g} degrees by the file's "
+                f"header, got {values[0]:g}"
             )
         rows.append(values[1:])
     return RtTable(tilt, receive, azimuth, rows)

@@ -68,7 +68,7 @@ class _Sheet:
             label = str(self.sheet.cell_value(row, 0)).strip()
             raise InputError(
                 f"{self.path}: sheet {self.sheet.name!r}, cell {_column_name(column)}{row + 1}: "
-                f"{label} {shown(str(cell.value))} is not a number"
+                f"{label}: expected a number, got {shown(str(cell.value))}"
             )
         return float(cell.value)
 
@@ -111,8 +111,8 @@ def _workbook(path: Path) -> Any:
     except Exception as error:  # xlrd lets through whatever a broken file causes inside it
         why = " ".join(str(error).split())[:120] or type(error).__name__
         raise InputError(
-            f"{path}: not a readable .xls workbook, truncated or damaged ({why}); "
-            "the whole file that the RT-300S program saved was wanted"
+            f"{path}: expected the whole .xls workbook that the RT-300S program saved, got a "
+            f"truncated or damaged file ({why})"
         ) from None
 
 
@@ -135,8 +135,8 @@ def _check_sectors(path: Path, data: bytes) -> None:
     wanted = (last + 2) * sector  # the header takes the room of one
     if len(data) < wanted:
         raise InputError(
-            f"{path}: the .xls file is truncated at byte {len(data)}; its table of sectors "
-            f"reaches to byte {wanted} or further"
+            f"{path}: expected an .xls file of {wanted} bytes or more, by its table of sectors, "
+            f"got one truncated at byte {len(data)}"
         )
 
 
@@ -153,12 +153,12 @@ def _sheets(path: Path, book: Any) -> list[_Sheet]:
         missing = [name for name in (*_ANGLES, "RT") if name not in rows]
         if missing:
             raise InputError(
-                f"{path}: sheet {sheet.name!r}, column A: no row named {', '.join(missing)}; "
-                "a workbook of the RT-300S was wanted (rows Azimuth, Incidence, Receive, RT)"
+                f"{path}: sheet {sheet.name!r}, column A: expected a workbook of the RT-300S "
+                f"(rows Azimuth, Incidence, Receive, RT), got no row named {', '.join(missing)}"
             )
         sheets.append(_Sheet(path, sheet, rows))
     if not sheets:
-        raise InputError(f"{path}: its sheets are empty; a workbook of the RT-300S was wanted")
+        raise InputError(f"{path}: expected a workbook of the RT-300S, got empty sheets")
     return sheets
 
 
@@ -177,7 +177,7 @@ def _readings(sheets: list[_Sheet]) -> tuple[Floats, Floats, Floats, Floats]:
                 _check_cell(sheet, name, column, cell, limit)
             columns.append(tuple(cell for cell in cells if cell is not None))
     if not columns:
-        raise InputError(f"{sheets[0].path}: its sheets hold no readings to the right of column A")
+        raise InputError(f"{sheets[0].path}: expected readings to the right of column A, got none")
     azimuth, incidence, receive, rt = np.array(columns, np.float64).T
     return azimuth, incidence, receive, rt
 
@@ -187,9 +187,9 @@ def _check_cell(sheet: _Sheet, name: str, column: int, value: float | None, limi
     if value is None or not low <= value <= limit:
         wanted = "a number" if limit == np.inf else f"{low:g}…{limit:g} degrees"
         raise InputError(
-            f"{sheet.path}: sheet {sheet.sheet.name!r}, cell {_column_name(column)}"
-            f"{sheet.rows[name] + 1}: {name} is {'empty' if value is None else f'{value:g}'}; "
-            f"{wanted} was wanted"
+            f"{sheet.path}: sheet {sheet.sheet.name!r}, cell "
+            f"{_column_name(column)}{sheet.rows[name] + 1}: {name}: expected {wanted}, got "
+            f"{'nothing' if value is None else f'{value:g}'}"
         )
 
 

@@ -119,7 +119,7 @@ def measurement_of_tables(path: Path, tables: list[RtTable], metadata: Metadata)
     """
     measured = [any(any(row) for row in table.percent) for table in tables]
     if not any(measured):
-        raise InputError(f"{path}: all its values are 0; a measurement was wanted")
+        raise InputError(f"{path}: expected a measurement, got values that are all 0")
     notes = list(metadata.notes)
     notes.append(f"the lamp's wavelength is not in the file, taken as {LASER_NM:g} nm")
     if not all(measured):

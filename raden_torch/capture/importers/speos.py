@@ -78,8 +78,8 @@ def _block(path: Path, lines: list[str], begin: int, end: int) -> RtTable:
     def line(at: int, wanted: str) -> str:
         if at >= end:
             raise InputError(
-                f"{path}: line {at}: the block from line {begin + 1} ends where {wanted} was "
-                "wanted; it is truncated"
+                f"{path}: line {at}: expected {wanted}, got the end of the block from line "
+                f"{begin + 1}: it is truncated"
             )
         return lines[at]
 
@@ -94,20 +94,21 @@ def _block(path: Path, lines: list[str], begin: int, end: int) -> RtTable:
         values = _numbers(path, at, lines[at])
         if len(values) != 1 + len(azimuth):
             raise InputError(
-                f"{path}: line {at + 1}: {len(values)} numbers; an angle and {len(azimuth)} "
-                "values were wanted"
+                f"{path}: line {at + 1}: expected an angle and {len(azimuth)} values, got "
+                f"{len(values)} numbers"
             )
         receive.append(values[0])
         percent.append(values[1:])
         at += 1
     if not receive:
-        raise InputError(f"{path}: line {at + 1}: rows of an angle and values were wanted")
+        raise InputError(f"{path}: line {at + 1}: expected rows of an angle and values, got none")
     if not any(lines[at:end]):
         line(end, "a second table")
     for angle in (*receive, *azimuth):
         if abs(angle) > 360:
             raise InputError(
-                f"{path}: table from line {spectrum + 1}: angle {angle:g}; at most 360 degrees"
+                f"{path}: table from line {spectrum + 1}: angle: expected at most 360 degrees, "
+                f"got {angle:g}"
             )
     return RtTable(incidence, receive, azimuth, percent)
 
@@ -118,25 +119,27 @@ def _incidence(
     """The incidence in degrees, after a look at what the header says of the values."""
     del vector  # where the anisotropy points: a template
     if title != _VERSION:
-        raise InputError(f"{path}: line {begin + 1}: {shown(title)}; '{_VERSION}' was wanted")
+        raise InputError(f"{path}: line {begin + 1}: expected '{_VERSION}', got {shown(title)}")
     named = re.fullmatch(r"SampleID:\s*Sample\s+(\S+)", sample)
     if named is None:
         raise InputError(
-            f"{path}: line {begin + 2}: {shown(sample)}; 'SampleID: Sample <incidence>' was wanted"
+            f"{path}: line {begin + 2}: expected 'SampleID: Sample <incidence>', got "
+            f"{shown(sample)}"
         )
     incidence = number(path, begin + 2, 2, named[1])
     if not 0 <= incidence <= 90:
         raise InputError(
-            f"{path}: line {begin + 2}: incidence {incidence:g}; 0…90 degrees were wanted"
+            f"{path}: line {begin + 2}: incidence: expected 0…90 degrees, got {incidence:g}"
         )
     if has.split() != ["1", "0"]:
         raise InputError(
-            f"{path}: line {begin + 4}: {shown(has)}; '1 0' (reflection, no transmission) was "
-            "wanted"
+            f"{path}: line {begin + 4}: expected '1 0' (reflection, no transmission), got "
+            f"{shown(has)}"
         )
     if kind != "0":
         raise InputError(
-            f"{path}: line {begin + 5}: {shown(kind)}; 0 (values that go with intensity) was wanted"
+            f"{path}: line {begin + 5}: expected 0 (values that go with intensity), got "
+            f"{shown(kind)}"
         )
     return incidence
 
@@ -144,5 +147,5 @@ def _incidence(
 def _numbers(path: Path, at: int, text: str) -> list[float]:
     cells = text.split()
     if not cells:
-        raise InputError(f"{path}: line {at + 1}: it is empty; numbers were wanted")
+        raise InputError(f"{path}: line {at + 1}: expected numbers, got an empty line")
     return [number(path, at + 1, column, cell) for column, cell in enumerate(cells, 1)]

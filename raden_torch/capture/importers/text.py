@@ -40,7 +40,9 @@ def number(path: Path, line: int, column: int | str, text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise InputError(f"{path}: line {line}, column {column}: {shown(text)} is not a number")
+        raise InputError(
+            f"{path}: line {line}, column {column}: expected a number, got {shown(text)}"
+        )
     return value
 
 
@@ -48,7 +50,7 @@ def whole_number(path: Path, line: int, name: str, text: str, highest: int) -> i
     """A count that the file claims, 1…`highest`: checked before any memory is taken for it."""
     if not re.fullmatch(r"[0-9]{1,18}", text) or not 1 <= int(text) <= highest:
         raise InputError(
-            f"{path}: line {line}: {name} = {shown(text)}; a whole number 1…{highest} was wanted"
+            f"{path}: line {line}: {name}: expected a whole number 1…{highest}, got {shown(text)}"
         )
     return int(text)
 

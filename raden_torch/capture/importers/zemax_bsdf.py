@@ -86,7 +86,9 @@ class _Lines:
 
     def next(self, wanted: str) -> tuple[int, list[str]]:
         if self.at == len(self.rows):
-            raise InputError(f"{self.path}: it ends where {wanted} was wanted; it is truncated")
+            raise InputError(
+                f"{self.path}: expected {wanted}, got the end of the file: it is truncated"
+            )
         self.at += 1
         return self.rows[self.at - 1]
 
@@ -95,14 +97,14 @@ class _Lines:
         line, cells = self.next(f"'{shape}'")
         if cells[0].lower() != word.lower() or len(cells) != 1 + others:
             raise InputError(
-                f"{self.path}: line {line}: {shown(' '.join(cells))}; '{shape}' was wanted"
+                f"{self.path}: line {line}: expected '{shape}', got {shown(' '.join(cells))}"
             )
         return line, cells[1:]
 
     def numbers(self, count: int, what: str) -> tuple[int, list[float]]:
         line, cells = self.next(f"a row of {count} {what}")
         if len(cells) != count:
-            raise InputError(f"{self.path}: line {line}: {len(cells)} {what}, {count} were wanted")
+            raise InputError(f"{self.path}: line {line}: expected {count} {what}, got {len(cells)}")
         return line, [number(self.path, line, c, cell) for c, cell in enumerate(cells, 1)]
 
 
@@ -141,7 +143,7 @@ def _word(lines: _Lines, name: str) -> str:
         if word.lower() == known.lower():
             return known
     raise InputError(
-        f"{lines.path}: line {line}: {name} {shown(word)}; {' or '.join(allowed)} was wanted"
+        f"{lines.path}: line {line}: {name}: expected {' or '.join(allowed)}, got {shown(word)}"
     )
 
 
@@ -152,8 +154,8 @@ def _axis(lines: _Lines, name: str) -> Floats:
     for column, angle in enumerate(angles, 1):
         if not 0 <= angle <= _AXES[name]:
             raise InputError(
-                f"{lines.path}: line {line}, column {column}: {name} {angle:g}; "
-                f"0…{_AXES[name]:g} degrees were wanted"
+                f"{lines.path}: line {line}, column {column}: {name}: expected 0…{_AXES[name]:g} "
+                f"degrees, got {angle:g}"
             )
     return np.array(angles)
 
@@ -164,9 +166,9 @@ def _check_size(lines: _Lines, axes: list[Floats], sections: int) -> None:
     there = sum(len(cells) for _, cells in lines.rows[lines.at :])
     if claimed > min(MAX_VALUES, there):
         raise InputError(
-            f"{lines.path}: header claims {' x '.join(map(str, sizes))} values"
-            f"{' x 3' if sections == 3 else ''}, at most {min(MAX_VALUES, there)} follow; "
-            "the file is truncated or the header is wrong"
+            f"{lines.path}: expected {' x '.join(map(str, sizes))} "
+            f"values{' x 3' if sections == 3 else ''} by its header, got at most "
+            f"{min(MAX_VALUES, there)}; the file is truncated or the header is wrong"
         )
 
 
@@ -233,7 +235,7 @@ def _measurement(
     light, view = _directions(np.deg2rad(incidence), np.deg2rad(azimuth), np.deg2rad(radial))
     filling = (values == 0).all(axis=1) & (view[2] > 0)
     if filling.all():
-        raise InputError(f"{path}: all its values are 0; a measurement was wanted")
+        raise InputError(f"{path}: expected a measurement, got values that are all 0")
     if filling.any():
         notes.append(f"{int(filling.sum())} readings of exactly 0 left out as not measured")
     kept = ~filling

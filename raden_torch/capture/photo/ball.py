@@ -106,12 +106,15 @@ def ball_from_mask(
     white = (levels > levels.max() / 2).astype(np.uint8)
     outlines, _ = cv2.findContours(white, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if not outlines:
-        raise InputError(f"{name}: the mask is empty; white where the ball is was wanted")
+        raise InputError(f"{name}: expected a mask that is white on the ball, got an empty one")
     outline = max(outlines, key=len)[:, 0].astype(float)
     height, width = white.shape
     free = (outline > 0).all(1) & (outline < [width - 1, height - 1]).all(1)
     if free.sum() < 3 * _SMALLEST_PX:
-        raise InputError(f"{name}: no outline of a ball; white on the ball, black around it wanted")
+        raise InputError(
+            f"{name}: expected a mask that is white on the ball and black around it, got no "
+            "outline of a ball"
+        )
     points = _half_crossings(levels, outline[free])
     return _ball(points, matrix, radius, str(name), white)
 
@@ -263,9 +266,11 @@ def _ball(
         y, x = np.mgrid[: white.shape[0], : white.shape[1]]
         disc = np.hypot(x - centre[0], y - centre[1]) < 0.95 * r
         if disc.any() and float(white[disc].mean()) < 0.9:
-            raise InputError(f"{name}: the ball is not filled; white all over the ball was wanted")
+            raise InputError(
+                f"{name}: expected a mask that is white all over the ball, got one with holes"
+            )
         if white.sum() > 1.2 * np.pi * r * r:
-            raise InputError(f"{name}: more than one area is white; one mask a ball was wanted")
+            raise InputError(f"{name}: expected one mask per ball, got more than one white area")
     if r < _SMALLEST_PX:
         raise InputError(
             f"{name}: a ball of radius {r:.1f} pixels is too small to tell directions; fill at "

@@ -41,22 +41,23 @@ class Board:
 
         if not (2 <= self.columns <= 100 and 2 <= self.rows <= 100):
             raise InputError(
-                f"board of {self.columns} x {self.rows} squares: 2…100 each were wanted"
+                f"board: expected 2…100 squares each way, got {self.columns} x {self.rows}"
             )
         if not 0 < self.marker_m < self.square_m < np.inf:
             raise InputError(
-                f"board with markers of {self.marker_m:g} m in squares of {self.square_m:g} m; "
-                "0 < marker < square was wanted"
+                f"board: expected 0 < marker < square, got markers of {self.marker_m:g} m in "
+                f"squares of {self.square_m:g} m"
             )
         known = [n for n in dir(cv2.aruco) if n.startswith("DICT_") and n == n.upper()]
         if self.dictionary not in known:
-            raise InputError(f"dictionary {self.dictionary!r}; one of {', '.join(known)} wanted")
+            names = ", ".join(known)
+            raise InputError(f"dictionary: expected one of {names}, got {self.dictionary!r}")
         markers = self.columns * self.rows // 2
         there = len(self._dictionary().bytesList)
         if markers > there:
             raise InputError(
-                f"board of {self.columns} x {self.rows} squares: {markers} markers, but "
-                f"{self.dictionary} has {there}"
+                f"board of {self.columns} x {self.rows} squares: expected a dictionary of at "
+                f"least {markers} markers, got {self.dictionary} with {there}"
             )
 
     def _dictionary(self) -> Any:
@@ -121,7 +122,8 @@ def find_board(picture: NDArray[np.uint8], board: Board, name: str) -> BoardView
     grey = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
     if min(grey.shape) < 32:
         raise InputError(
-            f"{name}: {grey.shape[1]} x {grey.shape[0]} pixels; a photograph of a board was wanted"
+            f"{name}: expected a photograph of a board, got {grey.shape[1]} x {grey.shape[0]} "
+            "pixels"
         )
     forms = [board] if board.legacy is not None else [replace(board, legacy=False)]
     if board.legacy is None and board.rows % 2 == 0:
@@ -208,7 +210,7 @@ def _why_not(grey: NDArray[np.uint8], board: Board) -> str:
 
     wanted = f"a {board.columns} x {board.rows} board of {board.dictionary}"
     if (grey > 250).mean() > 0.9:
-        return f"over-exposed nearly everywhere; expose so that {wanted} shows black and white"
+        return f"expected {wanted}, got an image that is over-exposed nearly everywhere"
     detector = cv2.aruco.ArucoDetector(board._dictionary())
     for scale in (1.0, 0.5, 0.25, 0.125):
         small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
@@ -223,16 +225,17 @@ def _why_not(grey: NDArray[np.uint8], board: Board) -> str:
             )
         if found >= 3:
             return (
-                f"{found} markers, but they do not make {wanted} (fewer than {FEWEST_CORNERS} "
-                "corners fit): are the numbers of squares, their order (columns x rows), the "
-                "legacy setting right, is more of it in the picture?"
+                f"expected {wanted}, got {found} markers that do not form one (fewer than "
+                f"{FEWEST_CORNERS} corners fit); check the numbers of squares, their order "
+                "(columns x rows) and the legacy setting, or show more of the board"
             )
     if _edges_px(grey) > _BLURRED_PX:
         return (
-            f"no board found, and blurred: its sharpest edges are {_edges_px(grey):.0f} pixels "
-            f"wide: focus, hold still, add light; or another board than {wanted}"
+            f"expected {wanted}, got no board and a blurred image (its sharpest edges are "
+            f"{_edges_px(grey):.0f} pixels wide); focus, hold still, add light, or name the right "
+            "board"
         )
-    return f"no board; {wanted} was wanted, whole or nearly so, sharp and lit"
+    return f"expected {wanted}, whole or nearly so, sharp and lit, got no board"
 
 
 def _edges_px(grey: NDArray[np.uint8]) -> float:

@@ -102,8 +102,8 @@ def calibrate(views: Sequence[BoardView]) -> Calibration:
 
     if len(views) < _FEWEST_VIEWS:
         raise InputError(
-            f"{len(views)} photographs with a board; at least {_FEWEST_VIEWS} from different "
-            "directions, better ten, were wanted"
+            f"calibration: expected at least {_FEWEST_VIEWS} photographs with a board from "
+            f"different directions, better ten, got {len(views)}"
         )
     size = _one_size(views)
     points = [view.points_m.astype(np.float32) for view in views]
@@ -150,8 +150,8 @@ def board_pose(view: BoardView, camera: Camera) -> Pose:
     if view.size != camera.size:
         (height, width), (h, w) = view.size, camera.size
         raise InputError(
-            f"{view.name}: {width} x {height} pixels, but the camera was calibrated at {w} x {h}; "
-            "photographs as they come from the camera, not resized or cropped, were wanted"
+            f"{view.name}: expected {w} x {h} pixels, the size at which the camera was "
+            f"calibrated, got {width} x {height}; do not resize or crop photographs"
         )
     pose = _solved(view, camera)
     off = np.linalg.norm(reprojected(view, camera, pose) - view.pixels, axis=1)
@@ -197,9 +197,13 @@ def read_camera(path: str | os.PathLike[str]) -> Camera:
         )
     focal = np.diag(camera.matrix)[:2]
     if not ((focal > 0).all() and min(camera.size) > 0 and camera.matrix[2, 2] == 1):
-        raise InputError(f"{path}: no camera matrix: focal lengths above 0 and a size were wanted")
+        raise InputError(
+            f"{path}: expected a camera matrix with focal lengths above 0 and a size, got none"
+        )
     if len(camera.distortion) not in (4, 5, 8, 12, 14):
-        raise InputError(f"{path}: {len(camera.distortion)} distortion coefficients; 5 were wanted")
+        raise InputError(
+            f"{path}: expected 5 distortion coefficients, got {len(camera.distortion)}"
+        )
     return camera
 
 
@@ -289,23 +293,26 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
     import cv2
 
     if not Path(path).is_file():
-        raise InputError(f"{path}: no such file; a camera file was wanted")
+        raise InputError(f"{path}: expected a camera file, got no such file")
     try:
         file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
     except (cv2.error, SystemError):
-        raise InputError(f"{path}: not an OpenCV file; a calibration was wanted") from None
+        raise InputError(f"{path}: expected an OpenCV calibration, got another file") from None
     try:
         matrix, distortion = (
             file.getNode(name).mat() for name in ("camera_matrix", "distortion_coefficients")
         )
         width, height = (file.getNode(f"image_{side}").real() for side in ("width", "height"))
     except cv2.error:
-        raise InputError(f"{path}: damaged; a whole OpenCV calibration was wanted") from None
+        raise InputError(
+            f"{path}: expected a whole OpenCV calibration, got a damaged one"
+        ) from None
     finally:
         file.release()
     if matrix is None or matrix.shape != (3, 3) or distortion is None:
         raise InputError(
-            f"{path}: no camera_matrix and distortion_coefficients; an OpenCV calibration wanted"
+            f"{path}: expected an OpenCV calibration, got no camera_matrix and "
+            "distortion_coefficients"
         )
     return Camera(
         np.asarray(matrix, np.float64),
@@ -342,8 +349,8 @@ def _one_size(views: Sequence[BoardView]) -> tuple[int, int]:
         if view.size != views[0].size:
             (h, w), (height, width) = views[0].size, view.size
             raise InputError(
-                f"{view.name}: {width} x {height} pixels, but {views[0].name} has {w} x {h}; "
-                "photographs of one size from one camera were wanted"
+                f"{view.name}: expected photographs of one size from one camera, got {width} x "
+                f"{height} pixels, but {views[0].name} has {w} x {h}"
             )
     return views[0].size
 

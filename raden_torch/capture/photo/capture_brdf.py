@@ -9,29 +9,29 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.capture.photo.brdf.accumulate import Accumulated, accumulate
+from raden_torch.capture.photo.brdf.accumulate import AccumulatedCells, accumulate
 from raden_torch.capture.photo.brdf.agreement import Agreement, agreement
-from raden_torch.capture.photo.brdf.budget import PhotoBudget
 from raden_torch.capture.photo.brdf.cell_fit import RobustFit
-from raden_torch.capture.photo.brdf.cells import CellGrid
 from raden_torch.capture.photo.brdf.coverage import Coverage, coverage
 from raden_torch.capture.photo.brdf.lighting import Lamp
 from raden_torch.capture.photo.brdf.movement import Edges, edges_near, moved, outline_of
 from raden_torch.capture.photo.brdf.node_colour import NodeColour, budget_of
+from raden_torch.capture.photo.brdf.photo_budget import PhotoBudget
+from raden_torch.capture.photo.brdf.photo_cells import CellGrid
+from raden_torch.capture.photo.brdf.photo_scene import CaptureSetup, Scene
+from raden_torch.capture.photo.brdf.photo_white import Scale, WhiteFactor, WhiteReading, read_white
 from raden_torch.capture.photo.brdf.rays import rays_through
 from raden_torch.capture.photo.brdf.reference_place import WhiteSpec, white_place
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
 from raden_torch.capture.photo.brdf.sample import SampleSpec
-from raden_torch.capture.photo.brdf.scene import Scene, Setup
 from raden_torch.capture.photo.brdf.series import Frame, Shot
-from raden_torch.capture.photo.brdf.white import Scale, WhiteFactor, WhiteReading, read_white
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
-from raden_torch.measurement.common_errors import CommonErrors
 from raden_torch.measurement.readings import LEAST_COVERAGE
+from raden_torch.measurement.systematic_errors import SystematicErrors
 
 Progress = Callable[[float], None]
-__all__ = ["CapturedBrdf", "Setup", "capture_brdf"]
+__all__ = ["CaptureSetup", "CapturedBrdf", "capture_brdf"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class CapturedBrdf:
 
     measurement: BrdfMeasurement
     budget: PhotoBudget
-    found: Accumulated
+    found: AccumulatedCells
     grid: CellGrid
     shape: str
     shots: list[Shot]
@@ -74,7 +74,7 @@ class CapturedBrdf:
 
 def capture_brdf(
     photographs: Sequence[Path],
-    setup: Setup,
+    setup: CaptureSetup,
     sample: SampleSpec,
     white: WhiteSpec,
     factor: WhiteFactor,
@@ -101,7 +101,7 @@ def capture_brdf(
     outlines: list[Edges | None] = []
     agreed: list[Agreement] = []
     names = [shot.name for shot in scene.shots]
-    doubts = _Doubts(go_on)
+    doubts = _Objections(go_on)
 
     def look(k: int, frame: Frame) -> WhiteReading | None:
         shot, seen = scene.shots[k], scene.see(k)
@@ -148,7 +148,7 @@ def capture_brdf(
 
 
 @dataclass(eq=False)
-class _Doubts:
+class _Objections:
     """What speaks against the photographs: an error, or with `go_on` a warning and a note."""
 
     go_on: bool
@@ -164,7 +164,7 @@ class _Doubts:
 
 
 def _measurement(
-    found: Accumulated,
+    found: AccumulatedCells,
     grid: CellGrid,
     colour: NodeColour,
     budget: PhotoBudget,
@@ -187,14 +187,14 @@ def _measurement(
         valid=np.asarray(np.isfinite(values).all(axis=1)),
         metadata=replace(
             metadata,
-            common=CommonErrors(scale_std=white.relative_std, scale_reference=white.name),
+            systematic=SystematicErrors(scale_std=white.relative_std, scale_reference=white.name),
             other=(*metadata.other, *_said_of(cover)),
             instrument=f"{said}; photographs of a {shape} under {len(found.shots)} lamps",
         ),
     )
 
 
-def _coverage(found: Accumulated, grid: CellGrid, scene: Scene) -> Coverage:
+def _coverage(found: AccumulatedCells, grid: CellGrid, scene: Scene) -> Coverage:
     """Of the grid, with a suggestion from where the first photograph was taken."""
     shape, first = scene.shape_in(0), scene.lamps[0]
     distance = None
@@ -210,8 +210,9 @@ def _too_little(cover: Coverage, photographs: Sequence[Path]) -> str:
         "nothing near these lamps; another shape or camera"
     )
     return (
-        f"{photographs[0]} … {photographs[-1].name}: they cover {100 * cover.share:.1f} % of the "
-        f"grid; at least {100 * LEAST_COVERAGE:g} % were wanted. What would help most: {advice}"
+        f"{photographs[0]} … {photographs[-1].name}: expected readings in at least "
+        f"{100 * LEAST_COVERAGE:g} % of the grid, got {100 * cover.share:.1f} %. What would help "
+        f"most: {advice}"
     )
 
 

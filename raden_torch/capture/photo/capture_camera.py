@@ -108,8 +108,8 @@ def _views(
         frames.append(small(draw_board(picture, view)))
     if len(views) < enough:
         raise InputError(
-            f"{len(views)} of {len(paths)} photographs show the board; at least {enough} were "
-            f"wanted. {wrong[0] if wrong else ''}".strip()
+            f"photographs that show the board: expected at least {enough}, got {len(views)} of "
+            f"{len(paths)}. {wrong[0] if wrong else ''}".strip()
         )
     for message in wrong:
         warnings.warn(f"left out: {message}", stacklevel=3)

@@ -92,8 +92,8 @@ def capture_lights(
     done = progress or (lambda share: None)
     if 0 < len(photographs) < MIN_LAMPS:
         raise InputError(
-            f"{photographs[-1]}: photographs of the ball: {len(photographs)}, one a lamp; at least "
-            f"{MIN_LAMPS} were wanted"
+            f"{photographs[-1]}: expected at least {MIN_LAMPS} photographs of the ball, one per "
+            f"lamp, got {len(photographs)}"
         )
     photos = read_set(photographs, coded=coded, progress=lambda share: done(0.5 * share))
     lens = _Lens.of(camera, ball_radius_mm, photos.size)
@@ -144,8 +144,8 @@ class _Lens:
         if camera.size != size:
             (h, w), (height, width) = camera.size, size
             raise InputError(
-                f"{path}: a camera of {w} x {h} pixels, but the photographs have {width} x "
-                f"{height}; the camera that took them, at the same size, was wanted"
+                f"{path}: expected the camera that took the photographs, at their size of {width} "
+                f"x {height} pixels, got one of {w} x {h}"
             )
         return cls(camera.matrix, camera.distortion, radius_mm)
 
@@ -173,8 +173,8 @@ def _with_reference(
     paths = [path for path in named if not is_same_file(path, reference.mask)]
     if len(paths) != len(lamps):
         raise InputError(
-            f"{reference.pattern}: {len(paths)} photographs of the reference, but {len(lamps)} "
-            "lamps; one a lamp was wanted"
+            f"{reference.pattern}: expected one photograph of the reference per lamp, got "
+            f"{len(paths)} for {len(lamps)} lamps"
         )
     photos = read_set(paths, coded=coded, progress=lambda share: done(0.5 * share))
     mask = read_mask(reference.mask, photos.size)

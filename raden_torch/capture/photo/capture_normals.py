@@ -78,8 +78,8 @@ def capture_normals(
     lamps = read_lamps(lights)
     if len(lamps) != len(photographs):
         raise InputError(
-            f"{lights}: {len(lamps)} lamps, but {len(photographs)} photographs; one a lamp, in "
-            "the lamps' order, was wanted"
+            f"{lights}: expected one lamp per photograph, in their order, got {len(lamps)} lamps "
+            f"for {len(photographs)} photographs"
         )
     check_lights(torch.from_numpy(lamps.direction), lights)
     _warn_of_names(photographs, lamps, lights)

@@ -114,7 +114,7 @@ def find_charts(picture: NDArray[np.uint8], name: str, *, most: int = 4) -> list
         InputError: no chart, or one that is cut by the frame, or too small.
     """
     if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
-        raise InputError(f"{name}: {picture.dtype} {list(picture.shape)}; 8-bit RGB wanted")
+        raise InputError(f"{name}: expected 8-bit RGB, got {picture.dtype} {list(picture.shape)}")
     import cv2
 
     scale = min(1.0, _WORKING_PX / max(picture.shape[:2]))
@@ -145,12 +145,13 @@ def _search(picture: NDArray[np.uint8], name: str, most: int) -> list[Chart]:
             return sorted(charts, key=lambda chart: -chart.patch_px)
     if cut:
         raise InputError(
-            f"{name}: a colour chart that the frame cuts off; all 24 patches must be in the picture"
+            f"{name}: expected all 24 patches of the colour chart in the image, got a chart cut "
+            "off by the frame"
         )
     raise InputError(
-        f"{name}: no colour chart found; a ColorChecker Classic (4 x 6 patches) was wanted, whole, "
-        f"evenly lit, not over-exposed, patches of {_SMALLEST_PX:.0f} pixels or more; where it is "
-        "there all the same, give its four corners"
+        f"{name}: expected a ColorChecker Classic (4 x 6 patches), whole, evenly lit, not "
+        f"over-exposed, patches of {_SMALLEST_PX:.0f} pixels or more, got no colour chart; if it "
+        "is in the image, give its four corners"
     )
 
 
@@ -167,7 +168,7 @@ def chart_at(picture: NDArray[np.uint8], corners: NDArray[Any], name: str) -> Ch
 
     points = np.asarray(corners, np.float32)
     if points.shape != (4, 2) or not np.isfinite(points).all():
-        raise InputError(f"{name}: corners {points.tolist()}; four points x,y were wanted")
+        raise InputError(f"{name}: corners: expected four points x,y, got {points.tolist()}")
     square = np.array([[0, 0], [COLUMNS, 0], [COLUMNS, ROWS], [0, ROWS]], np.float32)
     best: Chart | None = None
     for turn in range(4):
@@ -219,7 +220,7 @@ def reference_xyz(edition: str = "2014") -> Floats:
         "2005": "ColorChecker24 - Before November 2014",
     }
     if edition not in names:
-        raise InputError(f"chart edition {edition!r}: {' or '.join(names)} was wanted")
+        raise InputError(f"chart edition: expected {' or '.join(names)}, got {edition!r}")
     reference = colour.CCS_COLOURCHECKERS[names[edition]]
     xyz = colour.xyY_to_XYZ(np.array(list(reference.data.values())))
     white = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]

@@ -21,7 +21,10 @@ def picture_path(picture: PathLike | None, output: PathLike) -> Path:
     """The path given, or that of the result with .png; raises InputError where none can be."""
     path = Path(output).with_suffix(".png") if picture is None else Path(picture)
     if path.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        raise InputError(f"{path}: the picture goes into a .png or .jpg file")
+        raise InputError(
+            f"{path}: expected a file name that ends in .png or .jpg, got "
+            f"{Path(path).suffix or '(none)'}"
+        )
     return check_writable(path)
 
 

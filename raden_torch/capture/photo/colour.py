@@ -116,8 +116,8 @@ def fit_colour(
         clipped = [PATCH_NAMES[i] for i in np.flatnonzero(~patches.usable)]
         wrong = f"saturated: {', '.join(clipped)}" if clipped else "the rest has no signal"
         raise InputError(
-            f"{name}: only {len(use)} of 24 patches are usable ({wrong}); at least {_FEWEST} were "
-            "wanted: expose so that the white patch stays below the white level"
+            f"{name}: expected at least {_FEWEST} usable patches, got {len(use)} of 24 ({wrong}); "
+            "expose so that the white patch stays below the white level"
         )
     rgb, xyz = patches.rgb[use], reference[use]
     left_out = {method: _left_out(method, rgb, xyz) for method in METHODS}
@@ -183,7 +183,7 @@ def read_colour(path: str | os.PathLike[str]) -> ColourCorrection:
     found = read_result(path, _KIND, ("method", "matrix"))
     method = found["method"]
     if method not in METHODS:
-        raise InputError(f"{path}: method {method!r}; one of {', '.join(METHODS)} was wanted")
+        raise InputError(f"{path}: method: expected one of {', '.join(METHODS)}, got {method!r}")
     terms = {1: 3, 2: 6, 3: 13}[METHODS[method]]
     return ColourCorrection(method, numbers(path, found, "matrix", (3, terms)))
 

@@ -110,8 +110,8 @@ def _read(path: PathLike, how: Development, exposure_s: float | None) -> Photogr
 def _times(paths: Sequence[PathLike], stated: Sequence[float], what: str) -> Sequence[float | None]:
     if stated and len(stated) != len(paths):
         raise InputError(
-            f"{len(paths)} {what} and {len(stated)} exposure times; as many times as {what}, or "
-            "none, were wanted"
+            f"exposure times: expected none, or one for each of {len(paths)} {what}, got "
+            f"{len(stated)}"
         )
     return stated or [None] * len(paths)
 

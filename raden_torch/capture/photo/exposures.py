@@ -182,8 +182,8 @@ def flat_field(flat: Photograph, *, smooth: float = 0.01) -> Floats32:
     share = level / np.quantile(level, 0.999, axis=(0, 1))
     if not share.min() > 0.02:
         raise InputError(
-            f"{flat.path}: a flat field that falls to {100 * share.min():.1f} % of its brightest; "
-            "an evenly lit white sheet that fills the frame was wanted"
+            f"{flat.path}: expected a flat field (an evenly lit white sheet that fills the "
+            f"frame), got one that falls to {100 * share.min():.1f} % of its brightest"
         )
     return np.asarray(share, np.float32)
 
@@ -197,8 +197,8 @@ def flatten(photo: Photograph, share: Floats32) -> Photograph:
     if share.shape != photo.linear.shape:
         height, width = photo.size
         raise InputError(
-            f"{photo.path}: {width} x {height} pixels, but the flat field has "
-            f"{share.shape[1]} x {share.shape[0]}; one camera and size were wanted"
+            f"{photo.path}: expected the flat field's size of {share.shape[1]} x {share.shape[0]} "
+            f"pixels, got {width} x {height}; take both with one camera"
         )
     return replace(photo, linear=photo.linear / share, rounding=photo.rounding / share)
 
@@ -222,16 +222,18 @@ def recover_response(
 
     if len(paths) < 3 or len(paths) != len(exposures_s) or len(set(exposures_s)) < 3:
         raise InputError(
-            f"{len(paths)} photographs and {len(exposures_s)} exposure times for a response; "
-            "three or more different exposures were wanted"
+            f"response: expected three or more different exposures, got {len(paths)} photographs "
+            f"and {len(exposures_s)} exposure times"
         )
     stored = []
     for path in paths:
         if read_pixels(path, colour=False).dtype != np.uint8:
-            raise InputError(f"{path}: not 8-bit; 16-bit files are read as linear or sRGB")
+            raise InputError(
+                f"{path}: expected 8 bits, got 16; 16-bit files are read as linear or sRGB"
+            )
         stored.append(read_stored(path))
         if stored[-1].shape != stored[0].shape:
-            raise InputError(f"{path}: its size differs from {paths[0]}; one size was wanted")
+            raise InputError(f"{path}: expected the size of {paths[0]}, got another")
     solver = cv2.createCalibrateDebevec(samples, 20.0, False)
     curve = solver.process(stored, np.asarray(exposures_s, np.float32)).reshape(256, 3)
     middle = curve[16:240]
@@ -247,7 +249,7 @@ def recover_response(
 
 def _checked(photos: Sequence[Photograph]) -> list[float]:
     if not photos:
-        raise InputError("no photographs to merge; at least one was wanted")
+        raise InputError("photographs to merge: expected at least one, got none")
     check_same_size(photos)
     first = photos[0]
     for photo in photos:
@@ -267,7 +269,7 @@ def _checked(photos: Sequence[Photograph]) -> list[float]:
         ):
             if have and wanted and abs(have / wanted - 1) > 0.01:
                 raise InputError(
-                    f"{photo.path}: {name} {have:g}, but {first.path} has {wanted:g}; "
+                    f"{photo.path}: expected {name} {wanted:g} as in {first.path}, got {have:g}; "
                     "only the exposure time may change"
                 )
     return [photo.exposure_s for photo in photos if photo.exposure_s is not None]

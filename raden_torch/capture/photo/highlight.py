@@ -59,8 +59,8 @@ def find_highlight(
     peak, ground = float(on_ball.max()), float(np.median(grey[inside]))
     if peak <= 0 or peak < _OUTSTANDING * ground:
         raise InputError(
-            f"{name}: no highlight on the ball (brightest {peak:.3g}, median {ground:.3g}); "
-            "a chrome ball under one small lamp, exposed so that the ball is dark, was wanted"
+            f"{name}: expected a chrome ball under one small lamp, exposed so that the ball is "
+            f"dark, got no highlight on the ball (brightest {peak:.3g}, median {ground:.3g})"
         )
     limit = ground + _HALF * (peak - ground)
     above = (on_ball > limit).astype(np.uint8)
@@ -78,7 +78,7 @@ def find_highlight(
     others = np.delete(weight, best)
     if len(others) and others.max() > _RIVAL * weight[best]:
         raise InputError(
-            f"{name}: two highlights on the ball; one lamp a photograph was wanted (cover windows "
+            f"{name}: expected one highlight on the ball, from one lamp, got two (cover windows "
             "and shiny things)"
         )
     # a small lamp's image is as wide as the lens is sharp: its flanks, below half of the peak, tell

@@ -193,15 +193,16 @@ def lamp_from_board(points: Floats, normal: Floats, radiance: Floats) -> tuple[F
     normal = np.asarray(normal, float) / np.linalg.norm(normal)
     if len(points) < 12 or points.shape != (len(radiance), 3):
         raise InputError(
-            f"board: {len(points)} points of {len(radiance)} values; at least 12 of each wanted"
+            f"board: expected at least 12 points and their values, got {len(points)} points and "
+            f"{len(radiance)} values"
         )
     if not (np.isfinite(radiance).all() and (radiance > 0).all()):
-        raise InputError("board: a point is black; points without shadows were wanted")
+        raise InputError("board: expected points without shadows, got a black one")
     middle = points.mean(0)
     spread = np.linalg.svd(points - middle, full_matrices=False)
     size = float(spread.S[0]) / np.sqrt(len(points))
     if spread.S[1] < 0.05 * spread.S[0]:
-        raise InputError("board: its points lie in a line; points all over the board were wanted")
+        raise InputError("board: expected points all over the board, got points in a line")
     across = spread.Vh[:2] - np.outer(spread.Vh[:2] @ normal, normal)
     local, log = (points - middle) / size, np.log(radiance)
 
@@ -287,21 +288,24 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
     found = read_result(path, KIND, ("lamps", "unit", "response_exponent"))
     rows = found["lamps"]
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or not rows:
-        raise InputError(f"{path}: lamps is not what it should be; a list of lamps was wanted")
+        raise InputError(f"{path}: lamps: expected a list of lamps, got {type(rows).__name__}")
     unit = str(found["unit"])
     columns = {key: [row.get(key) for row in rows] for key in rows[0]}
     for key in ("direction_to_lamp", "intensity"):
         if key not in columns:
-            raise InputError(f"{path}: a lamp has no {key}; a whole lights file was wanted")
+            raise InputError(f"{path}: expected a whole lights file, got a lamp without {key}")
     direction = numbers(path, columns, "direction_to_lamp", (-1, 3))
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     intensity = numbers(path, columns, "intensity", (-1,))
     if (length == 0).any() or (intensity <= 0).any():
-        raise InputError(f"{path}: a lamp has no direction or no light; positive ones were wanted")
+        raise InputError(
+            f"{path}: expected directions that are not zero and positive intensities, got a lamp "
+            "without"
+        )
     key, matrix, lens = f"position_{unit}", "camera_matrix_px", "camera_distortion"
     tint = numbers(path, columns, "tint_rgb", (-1, 3)) if "tint_rgb" in columns else None
     if tint is not None and (tint <= 0).any():
-        raise InputError(f"{path}: a lamp's tint_rgb is not positive; colours above 0 were wanted")
+        raise InputError(f"{path}: tint_rgb: expected colours above 0, got {tint.min():g}")
     return Lamps(
         direction / length,
         intensity,

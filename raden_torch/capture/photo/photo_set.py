@@ -58,7 +58,7 @@ def read_set(
         InputError: as for `read_linear`, sizes that differ, or more than `MAX_VALUES` in all.
     """
     if not paths:
-        raise InputError("no photograph was given; one a lamp was wanted")
+        raise InputError("photographs: expected one per lamp, got none")
     first = read_linear(paths[0], coded=coded)
     height, width = first.size
     if 3 * height * width * len(paths) > MAX_VALUES:
@@ -73,8 +73,8 @@ def read_set(
         check_same_size([first, photo])
         if photo.bits != first.bits:
             raise InputError(
-                f"{path}: {_bits(photo)}, but {paths[0]} has {_bits(first)}; photographs saved "
-                "alike were wanted (16-bit data saved as 8-bit lose half of each value)"
+                f"{path}: expected photographs saved alike, got {_bits(photo)}, but {paths[0]} "
+                f"has {_bits(first)} (16-bit data saved as 8-bit lose half of each value)"
             )
         images[k] = torch.from_numpy(photo.linear).movedim(-1, 0)
         saturated[k, 0] = torch.from_numpy(photo.saturated)
@@ -91,7 +91,10 @@ def read_mask(path: str | os.PathLike[str], size: tuple[int, int]) -> NDArray[An
     """
     mask = read_mask_pixels(path, size)
     if not (mask > 0.5).any():
-        raise InputError(f"{path}: the mask is nowhere above half grey; white on the object wanted")
+        raise InputError(
+            f"{path}: expected a mask that is white on the object, got one that is nowhere above "
+            "half grey"
+        )
     return mask
 
 
@@ -99,7 +102,9 @@ def numbered_files(pattern: str) -> list[Path]:
     """The files of a pattern as "grey.*.png", by the numbers in their names (2 before 10)."""
     found = [Path(name) for name in glob.glob(pattern)]
     if not found:
-        raise InputError(f"{pattern}: no such file; a pattern in quotes was wanted")
+        raise InputError(
+            f"{pattern}: expected a pattern of files, in quotes, got one that fits no file"
+        )
     return sorted(found, key=lambda p: [int(n) for n in re.findall(r"\d+", p.name)] or [0])
 
 

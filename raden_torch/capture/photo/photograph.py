@@ -132,7 +132,7 @@ def read_linear(
         linear, rounding = np.repeat(linear, 3, 2), np.repeat(rounding, 3, 2)
     seconds = said.get("exposure_s") if exposure_s is None else exposure_s
     if seconds is not None and not 0 < seconds < np.inf:
-        raise InputError(f"{path}: exposure {seconds} s; a positive time was wanted")
+        raise InputError(f"{path}: exposure: expected a positive time, got {seconds} s")
     return Photograph(
         linear,
         saturated,
@@ -181,8 +181,8 @@ def check_same_size(photos: Sequence[Photograph]) -> None:
         if photo.size != photos[0].size:
             (h, w), (height, width) = photos[0].size, photo.size
             raise InputError(
-                f"{photo.path}: {width} x {height} pixels, but {photos[0].path} has {w} x {h}; "
-                "photographs of one size were wanted (was the camera turned?)"
+                f"{photo.path}: expected photographs of one size, got {width} x {height} pixels, "
+                f"but {photos[0].path} has {w} x {h} (was the camera turned?)"
             )
 
 
@@ -202,7 +202,7 @@ def _decoded(
     levels = int(np.iinfo(stored.dtype).max)
     top = float(levels if white is None else white)
     if not 1 < top <= levels:
-        raise InputError(f"{path}: white level {top:g}; 2…{levels} was wanted")
+        raise InputError(f"{path}: white level: expected 2…{levels}, got {top:g}")
     table = _table(path, coded, levels, top, mosaic, space)
     slope = np.gradient(table, axis=0)
     grain = (slope / np.sqrt(12)).astype(np.float32)
@@ -227,11 +227,11 @@ def _table(
         table = np.asarray(coded, np.float32).reshape(len(coded), -1)
         if table.shape not in ((levels + 1, 1), (levels + 1, 3)):
             raise InputError(
-                f"{path}: a response of {list(table.shape)} values; {levels + 1} x 1 or 3 wanted"
+                f"{path}: response: expected {levels + 1} x 1 or 3 values, got {list(table.shape)}"
             )
         return table
     if coded not in ("auto", "srgb", "linear"):
-        raise InputError(f"coded {coded!r}: auto, srgb or linear was wanted")
+        raise InputError(f"coded: expected auto, srgb or linear, got {coded!r}")
     if coded == "linear" and path.suffix.lower() in _JPEG_SUFFIXES:
         raise InputError(
             f"{path}: a JPEG is never linear; give the raw file or a linear TIFF, take it as sRGB, "
@@ -261,7 +261,7 @@ def _check_whole(path: Path, stored: NDArray[Any]) -> None:
     if stored.dtype.kind == "f":
         return
     if stored.dtype not in (np.uint8, np.uint16):
-        raise InputError(f"{path}: {stored.dtype} values; 8 or 16 bits or floats were wanted")
+        raise InputError(f"{path}: expected 8 or 16 bits or floats, got {stored.dtype} values")
     stored = stored[:: max(1, len(stored) // 512)]  # some rows tell
     if stored.dtype == np.uint16:
         if stored.max() and (not (stored % 257).any() or not (stored % 256).any()):
@@ -285,11 +285,13 @@ def _pattern(
 ) -> str | None:
     if stated is not None and stated.upper() not in (*BAYER_PATTERNS, "NONE"):
         raise InputError(
-            f"Bayer pattern {stated!r}: {', '.join(BAYER_PATTERNS)} or none was wanted"
+            f"Bayer pattern: expected {', '.join(BAYER_PATTERNS)} or none, got {stated!r}"
         )
     if stored.ndim == 3:
         if stated is not None and stated.upper() != "NONE":
-            raise InputError(f"{path}: has colours already; a Bayer mosaic has one channel")
+            raise InputError(
+                f"{path}: expected a Bayer mosaic of one channel, got an image with colours"
+            )
         return None
     if stated is not None:
         return None if stated.upper() == "NONE" else stated.upper()
@@ -340,7 +342,7 @@ def _exr_colour(path: Path) -> Floats32:
     names = ["R", "G", "B"] if {"R", "G", "B"} <= set(channels) else ["Y"] * 3
     if not set(names) <= set(channels):
         raise InputError(
-            f"{path}: no channels R, G, B (it has {', '.join(channels)}); a photograph was wanted"
+            f"{path}: expected a photograph with channels R, G, B, got {', '.join(channels)}"
         )
     return np.stack([channels[name] for name in names], -1)
 

@@ -121,7 +121,7 @@ def solve_normals(
         else (mask.to(device).reshape(-1) > 0.5).nonzero()[:, 0]
     )
     if len(inside) == 0:
-        raise InputError("mask: it is empty; white where the object is was wanted")
+        raise InputError("mask: expected white where the object is, got an empty mask")
     flat = images.reshape(count, channels, -1)
     full = None if saturated is None else saturated.to(device).reshape(count, -1)
     if refine_intensity:
@@ -163,16 +163,18 @@ def check_lights(lights: Tensor, name: object = "lights") -> None:
     """
     count = len(lights)
     if count < MIN_LAMPS:
-        raise InputError(f"{name}: lamps: {count}; at least {MIN_LAMPS}, not in a row, wanted")
+        raise InputError(f"{name}: expected at least {MIN_LAMPS} lamps, not in a row, got {count}")
     directions = lights.detach().double().cpu()
     length = directions.norm(dim=1, keepdim=True)
     if not bool(torch.isfinite(directions).all()) or bool((length == 0).any()):
-        raise InputError(f"{name}: a direction is zero or not finite; vectors to the lamps wanted")
+        raise InputError(
+            f"{name}: expected vectors to the lamps, got a direction that is zero or not finite"
+        )
     spread = float(torch.linalg.svdvals(directions / length)[-1]) / count**0.5
     if spread < MIN_SPREAD:
         raise InputError(
-            f"{name}: the lamps lie in one plane with the object (spread {spread:.3f}, at least "
-            f"{MIN_SPREAD} was wanted); move one of them out of the row"
+            f"{name}: expected lamps of spread {MIN_SPREAD} or more, got {spread:.3f}: they lie "
+            "in one plane with the object; move one of them out of the row"
         )
 
 
@@ -387,25 +389,28 @@ def _check(
 ) -> None:
     if images.ndim != 4 or images.shape[1] not in (1, 3) or not images.is_floating_point():
         raise InputError(
-            f"images: {images.dtype} {list(images.shape)}; floating-point [K, 1 or 3, H, W] wanted"
+            f"images: expected floating-point [K, 1 or 3, H, W], got {images.dtype} "
+            f"{list(images.shape)}"
         )
     count, _, height, width = images.shape
     if lights.shape not in ((count, 3), (count, 3, height, width)):
         raise InputError(
-            f"lights: shape {list(lights.shape)}; [{count}, 3] or [{count}, 3, {height}, {width}] "
-            f"was wanted for {count} photographs"
+            f"lights: expected shape [{count}, 3] or [{count}, 3, {height}, {width}] for {count} "
+            f"photographs, got {list(lights.shape)}"
         )
     check_lights(lights if lights.ndim == 2 else lights.mean(dim=(2, 3)))
     for name, m, n in (("mask", mask, 1), ("saturated", saturated, count)):
         if m is not None and m.shape != (n, 1, height, width):
-            raise InputError(f"{name}: shape {list(m.shape)}; {[n, 1, height, width]} was wanted")
+            raise InputError(f"{name}: expected shape {[n, 1, height, width]}, got {list(m.shape)}")
     if intensity is not None and (
         intensity.shape != (count,) or not bool((intensity > 0).all() & intensity.isfinite().all())
     ):
-        raise InputError(f"intensity: {count} positive numbers were wanted, one a lamp")
+        raise InputError(
+            f"intensity: expected {count} positive numbers, one per lamp, got {intensity.tolist()}"
+        )
     if method not in METHODS:
-        raise InputError(f"method {method!r}: {', '.join(METHODS)} was wanted")
+        raise InputError(f"method: expected {', '.join(METHODS)}, got {method!r}")
     if not 0 <= shadow < 1:
-        raise InputError(f"shadow {shadow:g}: a share of the brightest lamp, 0…1, was wanted")
+        raise InputError(f"shadow: expected a share of the brightest lamp, 0…1, got {shadow:g}")
     if not 0.2 <= exponent <= 5:
-        raise InputError(f"exponent {exponent:g}: a camera's response, 0.2…5, was wanted")
+        raise InputError(f"exponent: expected a camera's response, 0.2…5, got {exponent:g}")

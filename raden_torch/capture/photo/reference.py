@@ -95,8 +95,8 @@ def relative_intensities(
     if fewest < _FEWEST:
         dark = int(good.sum(dim=1).argmin())
         raise InputError(
-            f"reference: {fewest} of its pixels are lit well by lamp {dark + 1} and by another, "
-            f"and not saturated; at least {_FEWEST} were wanted"
+            f"reference: expected at least {_FEWEST} pixels lit well by lamp {dark + 1} and by "
+            f"another, and not saturated, got {fewest}"
         )
     found = torch.where(good, ratio, torch.nan).nanmedian(dim=1).values
     if not bool((found > 0).all()):
@@ -139,7 +139,7 @@ def fit_response(
 
     rows, columns = inside[0, 0].nonzero(as_tuple=True)
     if len(rows) < _FEWEST:
-        raise InputError(f"reference: {len(rows)} pixels; at least {_FEWEST} were wanted")
+        raise InputError(f"reference: expected at least {_FEWEST} pixels, got {len(rows)}")
     step = max(1, len(rows) // _SAMPLE)
     rows, columns = rows[::step], columns[::step]
 

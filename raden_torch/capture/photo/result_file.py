@@ -16,6 +16,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import reprlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
@@ -72,21 +73,24 @@ def read_result(path: str | os.PathLike[str], kind: str, keys: Collection[str]) 
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(
-            f"{path}: {error.strerror}; a {kind} file of `raden capture` was wanted"
+            f"{path}: expected a {kind} file of `raden capture`, got an error: {error.strerror}"
         ) from None
     except (ValueError, RecursionError) as error:
         raise InputError(
-            f"{path}: not JSON ({error}); a {kind} file of `raden capture` was wanted"
+            f"{path}: expected a {kind} file of `raden capture`, got a file that is not JSON "
+            f"({error})"
         ) from None
     if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise InputError(f"{path}: not a result of `raden capture`; a {kind} file was wanted")
+        raise InputError(f"{path}: expected a {kind} file of `raden capture`, got another file")
     if found.get("version") != VERSION:
-        raise InputError(f"{path}: version {found.get('version')}; version {VERSION} was wanted")
+        raise InputError(f"{path}: expected version {VERSION}, got {found.get('version')}")
     if found.get("kind") != kind:
-        raise InputError(f"{path}: a {found.get('kind')} file; a {kind} file was wanted")
+        raise InputError(f"{path}: expected a {kind} file, got a {found.get('kind')} file")
     missing = [key for key in keys if key not in found]
     if missing:
-        raise InputError(f"{path}: no {', '.join(missing)}; a whole {kind} file was wanted")
+        raise InputError(
+            f"{path}: expected a whole {kind} file, got one without {', '.join(missing)}"
+        )
     return found
 
 
@@ -107,7 +111,9 @@ def numbers(
     )
     if not (fits and np.isfinite(array).all()):
         wanted = " x ".join("n" if n < 0 else str(n) for n in shape) or "one"
-        raise InputError(f"{path}: {key} is not what it should be; {wanted} finite numbers wanted")
+        raise InputError(
+            f"{path}: {key}: expected {wanted} finite numbers, got {reprlib.repr(found[key])}"
+        )
     return array
 
 
@@ -116,7 +122,9 @@ def check_result_path(path: str | os.PathLike[str]) -> None:
     from raden_torch.files import check_writable
 
     if Path(path).suffix.lower() != ".json":
-        raise InputError(f"{path}: results are .json files; name one")
+        raise InputError(
+            f"{path}: expected a file name that ends in .json, got {Path(path).suffix or '(none)'}"
+        )
     check_writable(path)
 
 

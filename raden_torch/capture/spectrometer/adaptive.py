@@ -14,8 +14,9 @@ from typing import Any, final
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.spectrometer.cells import Reachable, checked_cells, within_reach
-from raden_torch.capture.spectrometer.plan import (
+from raden_torch.capture.spectrometer.next_cells import choose, estimate
+from raden_torch.capture.spectrometer.scan_cells import Reachable, checked_cells, within_reach
+from raden_torch.capture.spectrometer.scan_plan import (
     Decision,
     Plan,
     cells_as_json,
@@ -23,7 +24,6 @@ from raden_torch.capture.spectrometer.plan import (
     checked_repeats,
 )
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
-from raden_torch.capture.spectrometer.where_next import choose, estimate
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.symmetry import canonical
@@ -163,18 +163,21 @@ def make_adaptive_plan(
     budget = len(candidates) if readings is None else readings // repeats
     if budget < LEAST_READINGS:
         raise InputError(
-            f"{readings} readings of {repeats} a cell; an adaptive plan needs {LEAST_READINGS} "
-            "cells at least"
+            f"adaptive plan: expected at least {LEAST_READINGS} cells, got {readings} readings of "
+            f"{repeats} a cell"
         )
     if target is not None and not 0 < target < 1:
-        raise InputError(f"target error = {target:g}; 0…1 was wanted")
+        raise InputError(f"target error: expected 0…1, got {target:g}")
     first = _coarse_nodes(candidates, budget) if coarse is None else coarse
     given, excluded = within_reach(first, name, reachable)
     given = _one_of_equivalents(given)
     kept, _ = within_reach(candidates, name, reachable)
     kept = np.concatenate([given, _without(_one_of_equivalents(kept), given)])
     if len(given) > budget:
-        raise InputError(f"{name}: {len(given)} cells are read first; the budget is {budget}")
+        raise InputError(
+            f"{name}: expected a budget of at least {len(given)} cells, which are read first, got "
+            f"{budget}"
+        )
     return AdaptivePlan(
         name,
         given[short_order(given)],

@@ -75,7 +75,7 @@ class CrSeries(SerialColorimeter):
         name = kinds.get(kind.strip(), "instrument of a kind unknown here")
         if code != "0" or name == "photometer":
             raise InstrumentError(
-                f"{self._name}: a CR {name} does not measure XYZ; a colorimeter was wanted"
+                f"{self._name}: expected a colorimeter that measures XYZ, got a CR {name}"
             )
         model, number = self._value("RC Model"), self._value("RC ID")
         firmware = self._value("RC Firmware")

@@ -60,4 +60,4 @@ def _driver(built_in: dict[str, str], group: str, name: str) -> Callable[..., An
         return getattr(import_module(module), attribute)
     for point in entry_points(group=group, name=name):
         return point.load()
-    raise InputError(f"driver {name!r} is not known; {', '.join(known(built_in, group))} are")
+    raise InputError(f"driver: expected one of {', '.join(known(built_in, group))}, got {name!r}")

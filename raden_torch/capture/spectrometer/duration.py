@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.rig import ANGLES, GoniometerSettings, angles_of
+from raden_torch.capture.spectrometer.scan_plan import Plan
 from raden_torch.capture.spectrometer.travel import longest_axis_deg
-from raden_torch.capture.spectrometer.white import White
+from raden_torch.capture.spectrometer.white_reference import White
 
 READING_S = 3.0
 """What a reading takes where nobody says: a CS-2000 on a well-lit sample, its replies included."""

@@ -53,8 +53,8 @@ class GrblGoniometer(Goniometer):
         if missing:
             self._line.close()
             raise InputError(
-                f"{s.port}: the controller has the axes {', '.join(self._line.letters)}, "
-                f"none called {', '.join(missing)}; correct `letter` in the rig file"
+                f"{s.port}: expected axes {', '.join(missing)}, got a controller with "
+                f"{', '.join(self._line.letters)}; correct `letter` in the rig file"
             )
 
     # -- the port ------------------------------------------------------------------------------
@@ -286,5 +286,5 @@ def _moves(line: str) -> bool:
 def _finite(position: Position) -> list[float]:
     angles = [float(a) for a in angles_of(position)]
     if not all(map(math.isfinite, angles)):
-        raise InputError(f"{position}: an angle is not a finite number; degrees were wanted")
+        raise InputError(f"position: expected finite angles in degrees, got {position}")
     return angles

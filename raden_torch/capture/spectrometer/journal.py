@@ -21,11 +21,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from raden_torch.capture.spectrometer.plan import Decision, Plan, Step, Taken
 from raden_torch.capture.spectrometer.plan_json import plan_from_json
 from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range, Target
-from raden_torch.capture.spectrometer.stated import StatedUncertainty
-from raden_torch.capture.spectrometer.white import White
+from raden_torch.capture.spectrometer.scan_plan import Decision, Plan, Step, TakenReading
+from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
+from raden_torch.capture.spectrometer.white_reference import White
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable, written_beside
 
@@ -112,11 +112,11 @@ class Session:
     time_s: float
 
 
-Record = Taken | Decision | Reference | Fault | Session
+Record = TakenReading | Decision | Reference | Fault | Session
 
 
 @dataclass
-class Contents:
+class JournalContents:
     """All that a journal holds.
 
     `plan` is the header's, with the cells of all decisions so far. `whole_bytes` is where its last
@@ -124,7 +124,7 @@ class Contents:
     """
 
     header: Header
-    taken: list[Taken] = field(default_factory=list)
+    taken: list[TakenReading] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     references: list[Reference] = field(default_factory=list)
     faults: list[Fault] = field(default_factory=list)
@@ -141,7 +141,7 @@ class Contents:
 
     def add(self, record: Record) -> None:
         """Raises InputError for a decision that the plan cannot have made here."""
-        if isinstance(record, Taken):
+        if isinstance(record, TakenReading):
             self.taken.append(record)
         elif isinstance(record, Decision):
             if record.after != len(self.taken) or self.plan.next_step(self.taken) is not None:
@@ -156,7 +156,7 @@ class Contents:
             self.sessions.append(record)
 
 
-def read_journal(path: str | os.PathLike[str]) -> Contents:
+def read_journal(path: str | os.PathLike[str]) -> JournalContents:
     """Everything in a journal; a cut last line is left out and counted.
 
     Raises:
@@ -166,8 +166,10 @@ def read_journal(path: str | os.PathLike[str]) -> Contents:
     path = Path(path)
     size = path.stat().st_size
     if size > MAX_BYTES:
-        raise InputError(f"{path}: {size / 1e9:.1f} GB; a journal has at most {MAX_BYTES / 1e9:g}")
-    contents: Contents | None = None
+        raise InputError(
+            f"{path}: expected a journal of at most {MAX_BYTES / 1e9:g} GB, got {size / 1e9:.1f} GB"
+        )
+    contents: JournalContents | None = None
     with path.open("rb") as file:
         for number, line in enumerate(file, 1):
             record = _parsed(line)
@@ -179,7 +181,7 @@ def read_journal(path: str | os.PathLike[str]) -> Contents:
                 break
             try:
                 if contents is None:
-                    contents = Contents(_header(record))
+                    contents = JournalContents(_header(record))
                 else:
                     _check_number(record, len(contents.taken))
                     contents.add(_record(record))
@@ -191,7 +193,7 @@ def read_journal(path: str | os.PathLike[str]) -> Contents:
                 ) from None
             contents.whole_bytes += len(line)
     if contents is None:
-        raise InputError(f"{path}: is empty; the journal of a scan was wanted")
+        raise InputError(f"{path}: expected the journal of a scan, got an empty file")
     contents.torn_bytes = size - contents.whole_bytes
     _check_replay(path, contents)
     return contents
@@ -200,7 +202,7 @@ def read_journal(path: str | os.PathLike[str]) -> Contents:
 class Journal(Protocol):
     """What a scan needs of its journal: what is in it, and that it takes one record more."""
 
-    contents: Contents
+    contents: JournalContents
 
     def append(self, record: Record) -> None: ...
 
@@ -212,7 +214,7 @@ class JournalFile:
     again.
     """
 
-    def __init__(self, path: Path, contents: Contents) -> None:
+    def __init__(self, path: Path, contents: JournalContents) -> None:
         self.path = path
         self.contents = contents
         self._file = os.open(path, os.O_RDWR | os.O_APPEND)
@@ -246,14 +248,16 @@ class JournalFile:
             os.fsync(folder)
         finally:
             os.close(folder)
-        return cls(target, Contents(header, whole_bytes=len(line)))
+        return cls(target, JournalContents(header, whole_bytes=len(line)))
 
     @classmethod
     def resume(cls, path: str | os.PathLike[str]) -> JournalFile:
         """Open a journal to go on with it; a cut last line is taken off."""
         path = Path(path)
         if not path.is_file():
-            raise InputError(f"{path}: there is no journal to resume; leave out --resume to begin")
+            raise InputError(
+                f"{path}: expected a journal to resume, got none; leave out --resume to begin"
+            )
         return cls(path, read_journal(path))
 
     def append(self, record: Record) -> None:
@@ -310,9 +314,9 @@ def _check_number(record: dict[str, Any], taken: int) -> None:
         )
 
 
-def _check_replay(path: Path, contents: Contents) -> None:
+def _check_replay(path: Path, contents: JournalContents) -> None:
     """Ask the plan again for every step: what was read must be what it says, in its order."""
-    so_far: list[Taken] = []
+    so_far: list[TakenReading] = []
     for number, taken in enumerate(contents.taken):
         if contents.plan.next_step(so_far) != taken.step:
             raise InputError(
@@ -341,7 +345,7 @@ def _header(record: dict[str, Any]) -> Header:
     if record.get("record") != "header":
         raise InputError("not the header of a scan's journal")
     if record["format"] != FORMAT:
-        raise InputError(f"journal format {record['format']!r}; this version reads {FORMAT}")
+        raise InputError(f"journal format: expected {FORMAT}, got {record['format']!r}")
     header = Header(
         plan=plan_from_json(record["plan"]),
         white=White.from_json(record["white"]),
@@ -362,7 +366,7 @@ def _header(record: dict[str, Any]) -> Header:
 
 
 def _as_json(record: Record, number: int) -> dict[str, Any]:
-    if isinstance(record, Taken):
+    if isinstance(record, TakenReading):
         position = record.step.position
         return {
             "record": "reading",
@@ -420,7 +424,7 @@ def _record(data: dict[str, Any]) -> Record:
     if kind == "reading":
         position = Position(*(float(angle) for angle in data["angles_deg"]))
         step = Step(int(data["cell"]), position, Target(data["target"]))
-        return Taken(step, _reading(data), time_s)
+        return TakenReading(step, _reading(data), time_s)
     if kind == "reference":
         return Reference(int(data["series"]), Target(data["target"]), _reading(data), time_s)
     if kind == "fault":

@@ -10,8 +10,8 @@ from typing import cast
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.spectrometer.journal import Contents
-from raden_torch.capture.spectrometer.reduction import Reduced
+from raden_torch.capture.spectrometer.journal import JournalContents
+from raden_torch.capture.spectrometer.reduction import ReducedScan
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.grid import DIGITS
 from raden_torch.reflectance.symmetry import reciprocal
@@ -72,7 +72,7 @@ class LabReport:
             of a cell (the median over the cells; NaN without repeats).
         median_std: of the cells' values in Y, relative, all terms but the white's certificate.
         white_relative_std: the certificate's.
-        spectral: see `reduction.Reduced`.
+        spectral: see `reduction.ReducedScan`.
         reciprocity: the check.
         travel_deg, as_given_deg: degrees of travel, summed over the axes, in the order of
             measuring and in the order in which the cells were given.
@@ -199,7 +199,7 @@ def with_report(measurement: BrdfMeasurement, report: LabReport) -> BrdfMeasurem
     return replace(measurement, metadata=replace(measurement.metadata, other=report.entries()))
 
 
-def make_report(contents: Contents, reduced: Reduced) -> LabReport:
+def make_report(contents: JournalContents, reduced: ReducedScan) -> LabReport:
     """Everything that `LabReport` lists."""
     header, plan, m = contents.header, contents.plan, reduced.measurement
     times = [t.time_s for t in contents.taken] + [r.time_s for r in contents.references]
@@ -251,7 +251,7 @@ def make_report(contents: Contents, reduced: Reduced) -> LabReport:
     )
 
 
-def _median_terms(reduced: Reduced) -> dict[str, float]:
+def _median_terms(reduced: ReducedScan) -> dict[str, float]:
     """Of each term of the budget that there is, in Y, relative to it."""
     valid = reduced.measurement.valid
     y = np.maximum(abs(reduced.measurement.values[valid, 1]), 1e-9)
@@ -297,7 +297,7 @@ def now_utc() -> str:
     return datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def _decisions(contents: Contents) -> str:
+def _decisions(contents: JournalContents) -> str:
     """Empty where there are none."""
     if not contents.decisions:
         return ""

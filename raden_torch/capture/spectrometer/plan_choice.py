@@ -7,14 +7,14 @@ from pathlib import Path
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.adaptive import BUDGET_SHARE, make_adaptive_plan
-from raden_torch.capture.spectrometer.cells import (
+from raden_torch.capture.spectrometer.scan_cells import (
     RANDOM_READINGS,
     Reachable,
     grid,
     list_cells,
     random_cells,
 )
-from raden_torch.capture.spectrometer.plan import Plan, make_plan
+from raden_torch.capture.spectrometer.scan_plan import Plan, make_plan
 from raden_torch.errors import InputError
 
 GRID_STEP_DEG = 5.0

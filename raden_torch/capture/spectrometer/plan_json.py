@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from raden_torch.capture.spectrometer.adaptive import AdaptivePlan
-from raden_torch.capture.spectrometer.plan import FixedPlan, Plan, cells_from_json
+from raden_torch.capture.spectrometer.scan_plan import FixedPlan, Plan, cells_from_json
 from raden_torch.errors import InputError
 
 
@@ -23,4 +23,4 @@ def plan_from_json(data: Any) -> Plan:
             return AdaptivePlan.from_json(data)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"plan: {type(error).__name__} {error}; not what a scan wrote") from None
-    raise InputError(f"plan: kind {kind!r} is not known; fixed and adaptive are")
+    raise InputError(f"plan: kind: expected fixed or adaptive, got {kind!r}")

@@ -24,17 +24,17 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.spectrometer import contradictions
-from raden_torch.capture.spectrometer.budget import (
+from raden_torch.capture.spectrometer.journal import Header, JournalContents, Reference
+from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range, Target
+from raden_torch.capture.spectrometer.scan_budget import (
     Budget,
-    common_errors,
     geometry_terms,
     repeatability,
+    systematic_errors,
     white_move_std,
 )
-from raden_torch.capture.spectrometer.journal import Contents, Header, Reference
-from raden_torch.capture.spectrometer.plan import Plan, Taken
-from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range, Target
-from raden_torch.capture.spectrometer.stated import StatedUncertainty
+from raden_torch.capture.spectrometer.scan_plan import Plan, TakenReading
+from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.colour_conversion import bands_to_xyz_matrix
@@ -44,7 +44,7 @@ _UNIFORM_WIDTH = np.sqrt(12.0)  # of an even distribution, over its standard dev
 
 
 @dataclass(frozen=True)
-class Reduced:
+class ReducedScan:
     """What became of a journal.
 
     Attributes:
@@ -75,7 +75,7 @@ class Reduced:
     warnings: tuple[str, ...] = ()
 
 
-def reduce_readings(contents: Contents) -> Reduced:
+def reduce_readings(contents: JournalContents) -> ReducedScan:
     """The measurement that a journal holds; see the module's text for the formula.
 
     Raises:
@@ -137,7 +137,7 @@ def reduce_readings(contents: Contents) -> Reduced:
 class _Lamp:
     """The dark and white series of a journal, at any time; signals are `[N, C]`, C = 3 or bands."""
 
-    def __init__(self, contents: Contents) -> None:
+    def __init__(self, contents: JournalContents) -> None:
         readings = [t.reading for t in contents.taken] + [r.reading for r in contents.references]
         self.wavelengths_nm = _common_wavelengths(readings)
         self._weights = (
@@ -282,7 +282,10 @@ class _OwnWhites:
 
 
 def _whites_by_cell(
-    taken: list[Taken], at_cells: tuple[tuple[float, float, float], ...], lamp: _Lamp, cells: int
+    taken: list[TakenReading],
+    at_cells: tuple[tuple[float, float, float], ...],
+    lamp: _Lamp,
+    cells: int,
 ) -> _OwnWhites:
     whites = [t for t in taken if t.step.target is Target.WHITE and t.reading.range is Range.OK]
     signal = lamp.signals([t.reading for t in whites]) - lamp.dark(_times(whites))
@@ -292,7 +295,7 @@ def _whites_by_cell(
 
 
 def _sorted(
-    contents: Contents,
+    contents: JournalContents,
     plan: Plan,
     lamp: _Lamp,
     values: Floats,
@@ -300,7 +303,7 @@ def _sorted(
     count: NDArray[np.int64],
     repeat_std: Floats,
     warnings: tuple[str, ...],
-) -> Reduced:
+) -> ReducedScan:
     """The cells of the plan and those it excluded, in the order of their angles."""
     over, under = (_out_of_range(contents, which) for which in (Range.OVER, Range.UNDER))
     # the mean of what is left of a cell that was over range once would be too low
@@ -329,7 +332,7 @@ def _sorted(
             sample=header.sample,
             instrument=f"{header.goniometer}; {header.colorimeter}",
             simulated=header.simulated,
-            common=common_errors(header, lamp.white_mean_std(white_move_std(header))),
+            systematic=systematic_errors(header, lamp.white_mean_std(white_move_std(header))),
         ),
     )
     geometry = geometry_terms(measurement, header)
@@ -338,7 +341,7 @@ def _sorted(
         **vars(geometry),
         scale=abs(measurement.values) * header.white.relative_std,
     )
-    return Reduced(
+    return ReducedScan(
         measurement=replace(measurement, std=budget.total),
         budget=budget,
         over=rows(over, 0),
@@ -353,7 +356,7 @@ def _sorted(
     )
 
 
-def _out_of_range(contents: Contents, which: Range) -> NDArray[np.int64]:
+def _out_of_range(contents: JournalContents, which: Range) -> NDArray[np.int64]:
     """`[cells]`: how many readings of the sample were so."""
     found = [
         t.step.cell
@@ -437,7 +440,7 @@ def _mean(index: NDArray[np.intp], rows: Floats, cells: int) -> Floats:
         return np.asarray(total / np.bincount(index, minlength=cells)[:, None])
 
 
-def _times(taken: list[Taken]) -> Floats:
+def _times(taken: list[TakenReading]) -> Floats:
     return np.array([t.time_s for t in taken])
 
 

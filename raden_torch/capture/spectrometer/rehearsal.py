@@ -6,7 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.spectrometer.plan import Plan
+from raden_torch.capture.spectrometer.scan_plan import Plan
 from raden_torch.measurement import BrdfMeasurement
 
 

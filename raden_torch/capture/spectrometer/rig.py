@@ -13,7 +13,7 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import Colorimeter, Goniometer, Position, Target
-from raden_torch.capture.spectrometer.stated import StatedUncertainty
+from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
 
 ANGLES = ("incidence", "receiving", "tilt")
 """The three angles of a position, in the order in which every table here keeps them."""

@@ -86,7 +86,7 @@ def _goniometer(table: _Table) -> GoniometerSettings:
         shows=_shows(table.table("show", optional=True), {axis.letter for axis in axes.values()}),
     )
     if settings.homing != MANUAL and not re.fullmatch(r"\$H[XYZABCUVW]?", settings.homing):
-        raise table.error("homing", f"{settings.homing!r}; '$H' or 'manual' was wanted")
+        raise table.error("homing", f"expected '$H' or 'manual', got {settings.homing!r}")
     table.check_all_used()
     return settings
 
@@ -98,10 +98,13 @@ def _axes(table: _Table) -> dict[str, Axis]:
         entry = table.table(name)
         letter = entry.text("letter").upper()
         if letter not in tuple(_LETTERS):
-            raise entry.error("letter", f"{letter!r}; one of {', '.join(_LETTERS)} was wanted")
+            raise entry.error("letter", f"expected one of {', '.join(_LETTERS)}, got {letter!r}")
         for other, axis in axes.items():
             if axis.letter == letter:
-                raise entry.error("letter", f"{letter!r} turns {other} already; each needs its own")
+                raise entry.error(
+                    "letter",
+                    f"expected a letter of its own, got {letter!r}, which turns {other} already",
+                )
         axes[name] = Axis(
             letter,
             entry.choice("direction", (1, -1), 1),
@@ -123,7 +126,7 @@ def _shows(table: _Table, letters: set[str]) -> dict[Target, tuple[str, ...] | s
             shows[target] = _QUESTIONS[target]
             continue
         if not isinstance(value, list) or not all(isinstance(line, str) for line in value):
-            raise table.error(key, f"{value!r}; a list of G-code lines or 'manual' was wanted")
+            raise table.error(key, f"expected a list of G-code lines or 'manual', got {value!r}")
         for line in value:
             _check_gcode(table, key, line, letters)
         shows[target] = tuple(value)
@@ -134,17 +137,25 @@ def _shows(table: _Table, letters: set[str]) -> dict[Target, tuple[str, ...] | s
 def _check_gcode(table: _Table, key: str, line: str, letters: set[str]) -> None:
     words = re.sub(r"\([^)]*\)|;.*", "", line.upper())
     if not words.strip() or len(line) > _MAX_GCODE_CHARS:
-        raise table.error(key, f"{line!r}; one G-code line of up to {_MAX_GCODE_CHARS} characters")
+        raise table.error(
+            key, f"expected one G-code line of up to {_MAX_GCODE_CHARS} characters, got {line!r}"
+        )
     if _FORBIDDEN_IN_GCODE.search(line):
-        raise table.error(key, f"{line!r}; G-code words only, without $ ? ! ~ or line ends")
+        raise table.error(
+            key, f"expected G-code words only, without $ ? ! ~ or line ends, got {line!r}"
+        )
     if _MOVES_ELSEWHERE.search(words):
         raise table.error(
-            key, f"{line!r} changes coordinates; only G0, G1, G4 and M words are safe"
+            key,
+            f"expected only G0, G1, G4 and M words, which are safe, got {line!r}, which "
+            "changes coordinates",
         )
     driven = sorted(letter for letter in letters if letter in words)
     if driven:
         raise table.error(
-            key, f"{line!r} would drive {', '.join(driven)} past its limits; use other axes"
+            key,
+            f"expected a line that keeps within the limits, got {line!r}, which would drive "
+            f"{', '.join(driven)} past them; use other axes",
         )
 
 
@@ -183,22 +194,30 @@ def _white(path: Path, table: _Table) -> WhiteReference:
     table.check_all_used()
     if (factor is None) == (file is None):
         raise table.error(
-            "reflectance_factor", "this or `file` was wanted, one of the two (100 is perfect white)"
+            "reflectance_factor",
+            "expected this or `file` (100 is perfect white), got "
+            f"{'neither' if file is None else 'both'}",
         )
     if file is None:
         if factor == 0.0:
-            raise table.error("reflectance_factor", "0; readings are divided by it (99, say)")
+            raise table.error(
+                "reflectance_factor",
+                "expected above 0, since readings are divided by it (99, say), got 0",
+            )
         if factor is not None and factor <= 1.5:
             raise table.error(
-                "reflectance_factor", f"{factor:g}; the perfect diffuser is 100 here, not 1"
+                "reflectance_factor",
+                f"expected percent (the perfect diffuser is 100 here, not 1), got {factor:g}",
             )
         return WhiteReference(factor, None, geometry, name, relative_std)
     if not isinstance(file, str):
-        raise table.error("file", f"{file!r}; the name of a measurement was wanted")
+        raise table.error("file", f"expected the name of a measurement, got {file!r}")
     white = WhiteReference(None, path.parent / file, geometry, name, relative_std)
     xyz = white.xyz(geometry)
     if not (xyz > 0).all():
-        raise table.error("file", f"{file!r} has XYZ {xyz.tolist()} at the white's geometry; > 0")
+        raise table.error(
+            "file", f"expected XYZ above 0 at the white's geometry, got {xyz.tolist()} in {file!r}"
+        )
     return white
 
 
@@ -219,13 +238,15 @@ def _check_travel(top: _Table, rig: Rig) -> None:
 def _parsed(path: Path) -> dict[str, Any]:
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path}: over {MAX_BYTES} bytes; a rig file was wanted")
+            raise InputError(f"{path}: expected a rig file, got over {MAX_BYTES} bytes")
         text = path.read_bytes().decode("utf-8-sig")
         return tomllib.loads(text)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}; a rig file was wanted") from None
+        raise InputError(f"{path}: expected a rig file, got an error: {error.strerror}") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path}: it is not UTF-8 text; a rig file in TOML was wanted") from None
+        raise InputError(
+            f"{path}: expected a rig file in TOML, got bytes that are not UTF-8 text"
+        ) from None
     except (
         ValueError,
         RecursionError,
@@ -253,14 +274,14 @@ class _Table:
         unknown = [key for key in self._content if key not in self._used]
         if unknown:
             raise self.error(
-                unknown[0], f"not a key of this table; {', '.join(sorted(self._used))} are"
+                unknown[0], f"expected one of {', '.join(sorted(self._used))}, got {unknown[0]!r}"
             )
 
     def value(self, key: str, default: Any = ...) -> Any:
         self._used.add(key)
         if key not in self._content:
             if default is ...:
-                raise self.error(key, "is missing")
+                raise self.error(key, "expected a value, got none")
             return default
         return self._content[key]
 
@@ -268,26 +289,26 @@ class _Table:
         content = self.value(key, {} if optional else ...)
         name = ".".join(part for part in (self._name, key) if part)
         if not isinstance(content, dict):
-            raise self.error(key, f"{content!r}; a table [{name}] was wanted")
+            raise self.error(key, f"expected a table [{name}], got {content!r}")
         return _Table(self._path, name, content)
 
     def text(self, key: str, default: Any = ...) -> str:
         value = self.value(key, default)
         if not isinstance(value, str) or not value.strip() or not value.isprintable():
-            raise self.error(key, f"{value!r}; a text was wanted")
+            raise self.error(key, f"expected a text, got {value!r}")
         return value
 
     def flag(self, key: str, default: bool) -> bool:
         value = self.value(key, default)
         if not isinstance(value, bool):
-            raise self.error(key, f"{value!r}; true or false was wanted")
+            raise self.error(key, f"expected true or false, got {value!r}")
         return value
 
     def choice(self, key: str, choices: Iterable[Any], default: Any = ...) -> Any:
         value, choices = self.value(key, default), list(choices)
         if isinstance(value, bool) or value not in choices:
             names = ", ".join(str(c) for c in choices)
-            raise self.error(key, f"{value!r}; one of {names} was wanted")
+            raise self.error(key, f"expected one of {names}, got {value!r}")
         return value
 
     def number(self, key: str, default: Any, low: float, high: float) -> Any:
@@ -299,24 +320,24 @@ class _Table:
     def whole(self, key: str, default: Any, low: int, high: int) -> Any:
         value = self.number(key, default, low, high)
         if value is not None and value != int(value):
-            raise self.error(key, f"{value!r}; a whole number was wanted")
+            raise self.error(key, f"expected a whole number, got {value!r}")
         return None if value is None else int(value)
 
     def numbers(self, key: str, default: list[float], low: float, high: float) -> list[float]:
         value = self.value(key, default)
         if not isinstance(value, list) or len(value) != len(default):
-            raise self.error(key, f"{value!r}; {len(default)} numbers were wanted, as {default}")
+            raise self.error(key, f"expected {len(default)} numbers, as {default}, got {value!r}")
         return [self._checked(key, v, low, high) for v in value]
 
     def interval(self, key: str, low: float, high: float) -> tuple[float, float]:
         self.value(key)
         a, b = self.numbers(key, [low, high], low, high)
         if a >= b:
-            raise self.error(key, f"[{a:g}, {b:g}] is reversed; the lower limit comes first")
+            raise self.error(key, f"expected the lower limit first, got [{a:g}, {b:g}]")
         return a, b
 
     def _checked(self, key: str, value: Any, low: float, high: float) -> float:
         number = not isinstance(value, bool) and isinstance(value, (int, float))
         if not number or not low <= value <= high:  # NaN fails too
-            raise self.error(key, f"{value!r}; a number in {low:g}…{high:g} was wanted")
+            raise self.error(key, f"expected a number in {low:g}…{high:g}, got {value!r}")
         return float(value)

@@ -24,7 +24,6 @@ from raden_torch.capture.spectrometer.journal import (
     Reference,
     Session,
 )
-from raden_torch.capture.spectrometer.plan import Step, Taken
 from raden_torch.capture.spectrometer.ports import (
     Colorimeter,
     ColorReading,
@@ -38,6 +37,7 @@ from raden_torch.capture.spectrometer.ports import (
     Target,
 )
 from raden_torch.capture.spectrometer.reduction import reduce_readings
+from raden_torch.capture.spectrometer.scan_plan import Step, TakenReading
 from raden_torch.errors import InputError
 
 POSITION_TOLERANCE_DEG = 0.1
@@ -58,8 +58,8 @@ class ScanStoppedError(Exception):
 
 
 @dataclass(frozen=True)
-class Patience:
-    """How long a fault is fought before the scan stops.
+class RetryPolicy:
+    """How often and at what intervals a failed reading is repeated before the scan stops.
 
     Attributes:
         attempts: how often one reading is tried.
@@ -73,7 +73,7 @@ class Patience:
 
     def __post_init__(self) -> None:
         if self.attempts < 1:
-            raise InputError(f"attempts = {self.attempts}; at least 1 was wanted")
+            raise InputError(f"attempts: expected at least 1, got {self.attempts}")
 
 
 def check_resumable(journal: JournalFile, header: Header) -> None:
@@ -105,7 +105,7 @@ def run_scan(
     *,
     stands_at: Position | None = None,
     on_step: Callable[[int, str], None] = lambda taken, note: None,
-    patience: Patience | None = None,
+    retry_policy: RetryPolicy | None = None,
     clock: Callable[[], float] = time.time,
 ) -> None:
     """Take the readings that are missing from a journal, until its plan is done.
@@ -125,7 +125,7 @@ def run_scan(
     """
     if journal.contents.finished:
         return
-    scan = _Scan(journal, goniometer, colorimeter, on_step, patience or Patience(), clock)
+    scan = _Scan(journal, goniometer, colorimeter, on_step, retry_policy or RetryPolicy(), clock)
     before = len(journal.contents.taken)
     try:
         scan.note("resumed" if journal.contents.sessions else "started", f"{before} readings")
@@ -167,14 +167,14 @@ class _Scan:
         goniometer: Goniometer,
         colorimeter: Colorimeter,
         on_step: Callable[[int, str], None],
-        patience: Patience,
+        retry_policy: RetryPolicy,
         clock: Callable[[], float],
     ) -> None:
         self.journal = journal
         self.goniometer = goniometer
         self.colorimeter = colorimeter
         self.on_step = on_step
-        self.patience = patience
+        self.retry_policy = retry_policy
         self.clock = clock
         self.may_home = True
         self.must_home = not goniometer.homed
@@ -212,7 +212,7 @@ class _Scan:
 
     def _take(self, step: Step) -> None:
         reading = self._tried(step.position, step.target)
-        self.journal.append(Taken(step, reading, self.clock()))
+        self.journal.append(TakenReading(step, reading, self.clock()))
         self.on_step(len(self.journal.contents.taken), "")
 
     def _references_due(self) -> bool:
@@ -256,8 +256,8 @@ class _Scan:
 
     def _tried(self, position: Position, target: Target) -> ColorReading:
         """One reading, tried again after faults that pass."""
-        wait_s = self.patience.first_wait_s
-        for attempt in range(1, self.patience.attempts + 1):
+        wait_s = self.retry_policy.first_wait_s
+        for attempt in range(1, self.retry_policy.attempts + 1):
             try:
                 return self._confirmed(position, target)
             except tuple(_RECOVERABLE) as error:
@@ -265,11 +265,11 @@ class _Scan:
                 kind = next(name for cls, name in _RECOVERABLE.items() if isinstance(error, cls))
                 self.journal.append(Fault(kind, str(error), attempt, self.clock()))
                 self.on_step(len(self.journal.contents.taken), f"{kind}: {error}")
-            if attempt < self.patience.attempts:
-                self.patience.sleep(wait_s)
+            if attempt < self.retry_policy.attempts:
+                self.retry_policy.sleep(wait_s)
                 wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
         raise ScanStoppedError(
-            f"{last} (tried {self.patience.attempts} times); see to the instrument, then resume"
+            f"{last} (tried {self.retry_policy.attempts} times); see to the instrument, then resume"
         ) from last
 
     def _confirmed(self, position: Position, target: Target) -> ColorReading:

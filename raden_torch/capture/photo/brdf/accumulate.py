@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from raden_torch.capture.photo.brdf.cell_fit import RobustFit, robust_fit
 from raden_torch.capture.photo.brdf.cell_sums import CellSums, NodeValues
-from raden_torch.capture.photo.brdf.cells import CellGrid
 from raden_torch.capture.photo.brdf.lighting import Lamp
+from raden_torch.capture.photo.brdf.photo_cells import CellGrid
+from raden_torch.capture.photo.brdf.photo_white import Scale, WhiteReading, scale_of
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
 from raden_torch.capture.photo.brdf.samples import SeenSurface, samples
 from raden_torch.capture.photo.brdf.series import Frame, Shot
-from raden_torch.capture.photo.brdf.white import Scale, WhiteReading, scale_of
 from raden_torch.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
-class Accumulated:
+class AccumulatedCells:
     """What the photographs hold together.
 
     Attributes:
@@ -52,7 +52,7 @@ def accumulate(
     *,
     progress: Callable[[float], None] | None = None,
     check: Callable[[Reservoir, RobustFit, Scale], None] | None = None,
-) -> Accumulated:
+) -> AccumulatedCells:
     """Read every photograph, choose samples, fit them robustly; read again and sum.
 
     Args:
@@ -102,4 +102,6 @@ def accumulate(
         done(0.5 + 0.5 * (k + 1) / len(shots))
     seen = max(int(sums.seen.sum()), 1)
     left_out = 1 - float(sums.count.sum()) / seen
-    return Accumulated(sums.nodes(grid), scale, kept, fit, per_shot, int(per_shot.sum()), left_out)
+    return AccumulatedCells(
+        sums.nodes(grid), scale, kept, fit, per_shot, int(per_shot.sum()), left_out
+    )

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.brdf.budget import direction_slopes
 from raden_torch.capture.photo.brdf.cell_fit import RobustFit
-from raden_torch.capture.photo.brdf.cells import CellGrid, basis
+from raden_torch.capture.photo.brdf.photo_budget import direction_slopes
+from raden_torch.capture.photo.brdf.photo_cells import CellGrid, basis
+from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
-from raden_torch.capture.photo.brdf.white import Scale
 
 CHI2_LIMIT = 9.0
 """Differences three times as large as they should be, over all cells of a photograph."""

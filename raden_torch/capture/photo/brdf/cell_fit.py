@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats, Floats32, Ints
-from raden_torch.capture.photo.brdf.cells import TERMS, CellGrid, basis
+from raden_torch.capture.photo.brdf.photo_cells import TERMS, CellGrid, basis
 from raden_torch.capture.photo.brdf.reservoir import Reservoir, rank_in_group
 
 REJECT = 4.0

@@ -17,7 +17,7 @@ from raden_torch.capture.photo.brdf.cell_fit import (
     nearness,
     prior_precision,
 )
-from raden_torch.capture.photo.brdf.cells import TERMS, CellGrid, basis
+from raden_torch.capture.photo.brdf.photo_cells import TERMS, CellGrid, basis
 
 _PAIRS = np.triu_indices(TERMS)
 _LEAST_FREEDOM = 0.2

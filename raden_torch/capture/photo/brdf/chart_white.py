@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.brdf.white import D65_XYZ, WhiteFactor
+from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
 from raden_torch.capture.photo.chart import PATCH_NAMES, reference_xyz
 from raden_torch.capture.photo.result_file import numbers, read_result
 from raden_torch.errors import InputError
@@ -35,21 +35,21 @@ def chart_white(
         InputError: no factor, two, or one that no white has.
     """
     if not 0 <= std_percent < 100:
-        raise InputError(f"white: standard uncertainty {std_percent} %; 0…100 was wanted")
+        raise InputError(f"white: standard uncertainty: expected 0…100 %, got {std_percent} %")
     relative = std_percent / 100
     if factor is not None and file is not None:
-        raise InputError("white: a factor and a file; one of them was wanted")
+        raise InputError("white: expected a factor or a file, got both")
     corners, edition = (None, None) if colour is None else _patch(colour)
     if file is not None:
         if not file.is_file():
-            raise InputError(f"{file}: no such file; a measurement of the white was wanted")
+            raise InputError(f"{file}: expected a measurement of the white, got no such file")
         return corners, WhiteFactor(D65_XYZ, file, relative, name)
     if factor is not None:
         return corners, WhiteFactor(_xyz(factor), None, relative, name)
     if edition is None:
         raise InputError(
-            "white: its reflectance factor was wanted: --white-factor (the perfect diffuser is "
-            "100), or --white-file, a measurement of it"
+            "white: expected its reflectance factor, got none: give --white-factor (the perfect "
+            "diffuser is 100), or --white-file, a measurement of it"
         )
     return corners, WhiteFactor(100 * reference_xyz(edition)[_WHITE], None, relative, name)
 
@@ -77,7 +77,7 @@ def _xyz(text: str) -> Floats:
         given = given * D65_XYZ / 100
     if len(given) != 3 or not ((given > 0) & (given <= _MOST)).all():
         raise InputError(
-            f"white: reflectance factor {text}; one number or X,Y,Z, above 0, with the perfect "
-            "diffuser 100, was wanted"
+            "white: reflectance factor: expected one number or X,Y,Z, above 0, with the perfect "
+            f"diffuser 100, got {text}"
         )
     return given

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from raden_torch.arrays import Bools, Floats
-from raden_torch.capture.photo.brdf.angles import angles_deg
 from raden_torch.capture.photo.brdf.cell_fit import FEWEST
-from raden_torch.capture.photo.brdf.cells import CellGrid
+from raden_torch.capture.photo.brdf.photo_angles import angles_deg
+from raden_torch.capture.photo.brdf.photo_cells import CellGrid
 from raden_torch.capture.photo.brdf.rays import Y_UP
+from raden_torch.capture.photo.brdf.sample_shapes import Shape, fibonacci_sphere
 from raden_torch.capture.photo.brdf.samples import LEAST_COSINE
-from raden_torch.capture.photo.brdf.shapes import Shape, fibonacci_sphere
 from raden_torch.capture.photo.camera import Camera, Pose
 
 _LAMPS, _CAMERAS = 500, 60
@@ -32,7 +32,7 @@ _BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1).sum(axis=
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
+class LightingPosition:
     """A lamp and a camera that would help.
 
     Attributes:
@@ -62,7 +62,7 @@ class Coverage:
 
     covered: Bools
     reachable: Bools
-    next: tuple[Stance, ...]
+    next: tuple[LightingPosition, ...]
     after: Bools
 
     @property
@@ -115,7 +115,7 @@ def coverage(
         lamp, eye = tried[best]
         fills = scene.cells(lamp, eye, _DENSE)
         gain = int((fills & ~now).sum())
-        chosen.append(Stance(lamp, eye, gain, scene.described(lamp, eye)))
+        chosen.append(LightingPosition(lamp, eye, gain, scene.described(lamp, eye)))
         now |= fills
         packed[best] = 0
     return Coverage(covered, reachable | covered, tuple(chosen), now)

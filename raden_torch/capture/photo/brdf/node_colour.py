@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.brdf.accumulate import Accumulated
-from raden_torch.capture.photo.brdf.budget import (
+from raden_torch.capture.photo.brdf.accumulate import AccumulatedCells
+from raden_torch.capture.photo.brdf.photo_budget import (
     PhotoBudget,
     of_geometry,
     relative_colour,
     relative_white,
 )
-from raden_torch.capture.photo.brdf.cells import CellGrid
-from raden_torch.capture.photo.brdf.white import Scale
+from raden_torch.capture.photo.brdf.photo_cells import CellGrid
+from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.capture.photo.colour import ColourCorrection, read_colour
 from raden_torch.capture.photo.result_file import read_result
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
@@ -90,7 +90,7 @@ class NodeColour:
 
 
 def budget_of(
-    found: Accumulated,
+    found: AccumulatedCells,
     grid: CellGrid,
     colour: NodeColour,
     *,

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Bools, Floats
+from raden_torch.capture.photo.brdf.photo_white import WhitePlace
 from raden_torch.capture.photo.brdf.sample import board_pixels, board_plane, eroded
-from raden_torch.capture.photo.brdf.shapes import Plane
-from raden_torch.capture.photo.brdf.white import WhitePlace
+from raden_torch.capture.photo.brdf.sample_shapes import Plane
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.errors import InputError
@@ -38,11 +38,11 @@ class WhiteSpec:
         given = [place is not None for place in (self.mask, self.region_m, self.patch_px)]
         if sum(given) != 1:
             raise InputError(
-                f"{sum(given)} places of the white reference; one was wanted: a mask, its corners "
-                "on the board, or the colour chart's white patch"
+                "white reference: expected one place (a mask, its corners on the board, or the "
+                f"colour chart's white patch), got {sum(given)}"
             )
         if self.normal is not None and not np.linalg.norm(self.normal) > 0:
-            raise InputError("the white's normal is 0; a direction was wanted")
+            raise InputError("white reference: normal: expected a direction, got 0")
 
 
 def white_place(

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.photo.ball import ball_from_mask, find_ball
+from raden_torch.capture.photo.brdf.cylinder_axis import rod_from_mask, rod_on_board
 from raden_torch.capture.photo.brdf.rays import (
     board_direction,
     board_to_scene,
     projected,
     rays_through,
 )
-from raden_torch.capture.photo.brdf.rod import rod_from_mask, rod_on_board
-from raden_torch.capture.photo.brdf.shapes import Plane, Shape, Sphere
+from raden_torch.capture.photo.brdf.sample_shapes import Plane, Shape, Sphere
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.errors import InputError
@@ -50,17 +50,17 @@ class SampleSpec:
 
     def __post_init__(self) -> None:
         if self.shape not in ("sphere", "plane", "cylinder"):
-            raise InputError(f"shape {self.shape!r}; sphere, plane or cylinder was wanted")
+            raise InputError(f"shape: expected sphere, plane or cylinder, got {self.shape!r}")
         if self.shape == "plane" and self.region_m is None and self.mask is None:
-            raise InputError("plane: where is it? Its corners on the board, or a mask, were wanted")
+            raise InputError("plane: expected its corners on the board, or a mask, got neither")
         if self.shape == "cylinder" and self.mask is None:
-            raise InputError("cylinder: a mask that is white on it was wanted")
+            raise InputError("cylinder: expected a mask that is white on it, got none")
         if self.radius_mm is not None and not 0 < self.radius_mm < np.inf:
-            raise InputError(f"{self.shape}: radius {self.radius_mm} mm; above 0 was wanted")
+            raise InputError(f"{self.shape}: radius: expected above 0 mm, got {self.radius_mm} mm")
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class SampleInPhotograph:
     """The sample in one photograph: its shape, and `[P]` columns and rows of its pixels."""
 
     shape: Shape
@@ -75,7 +75,7 @@ def place(
     size: tuple[int, int],
     all_of_them: Callable[[], list[NDArray[Any]]],
     name: str,
-) -> Placed:
+) -> SampleInPhotograph:
     """Find the sample.
 
     Args:
@@ -92,7 +92,9 @@ def place(
     if spec.shape == "plane":
         shape, inside = _plane(spec, camera, pose, size, mask, name)
     elif camera is not None and spec.radius_mm is None:
-        raise InputError(f"{spec.shape}: with a camera its radius in mm was wanted")
+        raise InputError(
+            f"{spec.shape}: expected its radius in mm, since a camera is given, got none"
+        )
     elif spec.shape == "sphere":
         shape, inside = _sphere(spec, camera, size, mask, all_of_them, name)
     else:
@@ -108,7 +110,7 @@ def place(
     hit = np.isfinite(normal).all(axis=1)
     if not hit.any():
         raise InputError(f"{name}: no pixel shows the sample; is it in the picture?")
-    return Placed(shape, x[hit], y[hit])
+    return SampleInPhotograph(shape, x[hit], y[hit])
 
 
 def board_pixels(

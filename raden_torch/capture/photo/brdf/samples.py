@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.brdf.angles import angles_deg
 from raden_torch.capture.photo.brdf.lighting import Lamp
+from raden_torch.capture.photo.brdf.photo_angles import angles_deg
 from raden_torch.capture.photo.brdf.rays import rays_through
-from raden_torch.capture.photo.brdf.sample import Placed
+from raden_torch.capture.photo.brdf.sample import SampleInPhotograph
+from raden_torch.capture.photo.brdf.sample_shapes import Surface
 from raden_torch.capture.photo.brdf.series import Frame
-from raden_torch.capture.photo.brdf.shapes import Surface
 from raden_torch.capture.photo.camera import Camera
 
 LEAST_COSINE = 0.09
@@ -41,7 +41,7 @@ class SeenSurface:
     middle: Floats
 
 
-def see(placed: Placed, camera: Camera | None) -> SeenSurface:
+def see(placed: SampleInPhotograph, camera: Camera | None) -> SeenSurface:
     """The sample's pixels that look at it at less than about 85 degrees."""
     rays = rays_through(camera, placed.x_px, placed.y_px)
     surface = placed.shape.seen(rays)

@@ -84,11 +84,10 @@ def series(
         InputError: numbers that do not fit, a lamp that is not in the list.
     """
     if not files:
-        raise InputError("no photograph was given; one a lamp was wanted")
+        raise InputError("photographs: expected one per lamp, got none")
     if stack < 1 or len(files) % stack:
         raise InputError(
-            f"{files[-1]}: {len(files)} files do not make stacks of {stack}; a whole number of "
-            "them was wanted"
+            f"{files[-1]}: expected a whole number of stacks of {stack}, got {len(files)} files"
         )
     groups = [tuple(files[i : i + stack]) for i in range(0, len(files), stack)]
     chosen = _lamps(groups, lamps, lights, numbers)
@@ -126,14 +125,14 @@ def _lamps(
     if numbers:
         if len(numbers) != len(groups):
             raise InputError(
-                f"{len(numbers)} lamps' numbers for {len(groups)} photographs; one for each was "
-                "wanted"
+                f"lamp numbers: expected one for each of {len(groups)} photographs, got "
+                f"{len(numbers)}"
             )
         for group, number in zip(groups, numbers, strict=True):
             if not 1 <= number <= count:
                 raise InputError(
-                    f"{group[0]}: lamp {number} is not in {lights}, which has {count} lamps; a "
-                    f"number from 1 to {count} was wanted"
+                    f"{group[0]}: lamp: expected a number from 1 to {count} ({lights} has {count} "
+                    f"lamps), got {number}"
                 )
         return [number - 1 for number in numbers]
     if len(groups) > count:
@@ -143,8 +142,8 @@ def _lamps(
         )
     if len(groups) < count:
         raise InputError(
-            f"{lights}: {count} lamps, but {len(groups)} photographs; one a lamp, in the lamps' "
-            "order, was wanted, or each one's lamp"
+            f"{lights}: expected one lamp per photograph, in their order, or each photograph's "
+            f"lamp number, got {count} lamps for {len(groups)} photographs"
         )
     _check_names(groups, lamps, lights)
     return list(range(count))
@@ -168,8 +167,8 @@ def _ways(groups: Sequence[tuple[Path, ...]], how: Development) -> list[Developm
     size, times = len(groups[0]), how.exposures_s
     if len(times) not in (0, size, size * len(groups)):
         raise InputError(
-            f"{len(times)} exposure times for {len(groups)} photographs of {size} files; none, "
-            f"{size} or {size * len(groups)} were wanted"
+            f"exposure times: expected none, {size} or {size * len(groups)} for {len(groups)} "
+            f"photographs of {size} files, got {len(times)}"
         )
     if len(times) == size:
         return [how] * len(groups)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.angles import directions
 from raden_torch.capture.photo.simulation.colours import white_xyz
-from raden_torch.capture.photo.simulation.table import Table, table_bsdf, table_of
+from raden_torch.capture.photo.simulation.mitsuba_table import Table, table_bsdf, table_of
+from raden_torch.capture.photo.simulation.simulated_angles import directions
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata, native_csv
 from raden_torch.measurement.readings import FACTOR_PER_SR
@@ -87,7 +87,7 @@ def material_of(name: str) -> Material:
         return Material(name, None, _shell(name), source)
     if not name.lower().endswith((".csv", ".csv.gz")):
         known = ", ".join([*PLUGINS, *SPECIMENS])
-        raise InputError(f"material {name!r}: {known}, or a measurement (.csv) was wanted")
+        raise InputError(f"material: expected {known}, or a measurement (.csv), got {name!r}")
     measured = native_csv.read(name)
     source = f"{Path(name).name}, trilinear between its nodes"
     return Material(Path(name).stem, None, table_of(measured, name), source)

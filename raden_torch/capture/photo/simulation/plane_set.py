@@ -7,8 +7,16 @@ from typing import Any
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.camera import Camera, View
-from raden_torch.capture.photo.simulation.plan import (
+from raden_torch.capture.photo.simulation.mitsuba_scene import (
+    Ball,
+    PrintedBoard,
+    Sheet,
+    chart_picture,
+    matt,
+    printed,
+    sheet,
+)
+from raden_torch.capture.photo.simulation.photo_plan import (
     CHROME_BALL,
     FAR_MM,
     RIGHT,
@@ -21,15 +29,7 @@ from raden_torch.capture.photo.simulation.plan import (
     lamp_at,
 )
 from raden_torch.capture.photo.simulation.renderer import SPECIMEN
-from raden_torch.capture.photo.simulation.scene import (
-    Ball,
-    PrintedBoard,
-    Sheet,
-    chart_picture,
-    matt,
-    printed,
-    sheet,
-)
+from raden_torch.capture.photo.simulation.simulated_camera import Camera, View
 
 _MIDDLE = np.array([88.0, -56.0, 0.0])
 _CAMERA_MM, _LAMP_MM = 950.0, 1150.0

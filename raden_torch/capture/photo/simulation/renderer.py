@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.camera import Camera, View
 from raden_torch.capture.photo.simulation.materials import Material
-from raden_torch.capture.photo.simulation.scene import Ball, Lamp, chrome, matt, sphere
+from raden_torch.capture.photo.simulation.mitsuba_scene import Ball, Lamp, chrome, matt, sphere
+from raden_torch.capture.photo.simulation.simulated_camera import Camera, View
 
 SPECIMEN = "specimen"
 """The name of the specimen among a scene's things."""

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.camera import View
 from raden_torch.capture.photo.simulation.materials import Material, material_of, truth_of
+from raden_torch.capture.photo.simulation.mitsuba_scene import printed, sheet
 from raden_torch.capture.photo.simulation.photo_file import write_photograph
-from raden_torch.capture.photo.simulation.plan import (
+from raden_torch.capture.photo.simulation.photo_plan import (
     FACING,
     WHITE,
     PhotoPlan,
@@ -26,7 +26,7 @@ from raden_torch.capture.photo.simulation.plan import (
 )
 from raden_torch.capture.photo.simulation.plane_set import plane_plan
 from raden_torch.capture.photo.simulation.renderer import SPECIMEN, Studio
-from raden_torch.capture.photo.simulation.scene import printed, sheet
+from raden_torch.capture.photo.simulation.simulated_camera import View
 from raden_torch.capture.photo.simulation.sphere_set import sphere_plan
 from raden_torch.capture.photo.simulation.truth import commands, write_truth
 from raden_torch.capture.photo.simulation.variants import SCALAR, mitsuba
@@ -74,7 +74,7 @@ class Options:
 
     def __post_init__(self) -> None:
         if self.shape not in ("sphere", "plane"):
-            raise InputError(f"shape {self.shape!r}; sphere or plane was wanted")
+            raise InputError(f"shape: expected sphere or plane, got {self.shape!r}")
         ranges = {
             "lamps": (3, 99),
             "views": (1, 9),
@@ -85,11 +85,14 @@ class Options:
             "seed": (0, 2**31),
         }
         if self.shape == "plane" and self.stack > 1:
-            raise InputError("exposure stacks are made of a sphere; leave stack at 1 for a plane")
+            raise InputError(
+                f"stack: expected 1 for a plane, got {self.stack}; exposure stacks are made of a "
+                "sphere"
+            )
         for name, (low, high) in ranges.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"{name} = {value}; {low}…{high} was wanted")
+                raise InputError(f"{name}: expected {low}…{high}, got {value}")
 
 
 def simulate_photographs(
@@ -108,12 +111,12 @@ def simulate_photographs(
     """
     done = progress or (lambda share: None)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError(f"{folder}: is there and not empty; a new folder was wanted")
+        raise InputError(f"{folder}: expected a new folder, got one that is not empty")
     mi = mitsuba(options.variant)
     material = material_of(options.material)
     plan = _plan(mi, options)
     with _whole_folder(folder) as beside:
-        taken = _Shoot(mi, beside, plan, material, options, done)
+        taken = _PhotoSession(mi, beside, plan, material, options, done)
         taken.boards()
         taken.lamps_and_chart()
         truth_of(mi, material).save(beside / "truth.csv")
@@ -144,7 +147,7 @@ def _plan(mi: Any, options: Options) -> PhotoPlan:
     return plane_plan(mi, camera, views=options.views, **how)
 
 
-class _Shoot:
+class _PhotoSession:
     """The photographs of one plan, one after another."""
 
     def __init__(

@@ -7,8 +7,19 @@ from typing import Any
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.camera import Camera
-from raden_torch.capture.photo.simulation.plan import (
+from raden_torch.capture.photo.simulation.mitsuba_scene import (
+    Ball,
+    Lamp,
+    PrintedBoard,
+    Sheet,
+    chart_picture,
+    matt,
+    printed,
+    rod,
+    sheet,
+    sphere,
+)
+from raden_torch.capture.photo.simulation.photo_plan import (
     CHROME_BALL,
     FACING,
     FAR_MM,
@@ -23,18 +34,7 @@ from raden_torch.capture.photo.simulation.plan import (
     lamp_at,
 )
 from raden_torch.capture.photo.simulation.renderer import SPECIMEN
-from raden_torch.capture.photo.simulation.scene import (
-    Ball,
-    Lamp,
-    PrintedBoard,
-    Sheet,
-    chart_picture,
-    matt,
-    printed,
-    rod,
-    sheet,
-    sphere,
-)
+from raden_torch.capture.photo.simulation.simulated_camera import Camera
 
 _PHASES_DEG = (4.0, 132.0)
 """Angles between lamp and camera; beyond, less than a tenth of the matt ball is in light."""

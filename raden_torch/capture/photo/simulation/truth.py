@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.camera import View
 from raden_torch.capture.photo.simulation.colours import white_xyz
 from raden_torch.capture.photo.simulation.materials import Material
-from raden_torch.capture.photo.simulation.plan import (
+from raden_torch.capture.photo.simulation.mitsuba_scene import Sheet
+from raden_torch.capture.photo.simulation.photo_plan import (
     CHROME_BALL,
     FACING,
     GREY_BALL,
@@ -21,7 +21,7 @@ from raden_torch.capture.photo.simulation.plan import (
     PhotoPlan,
     Shot,
 )
-from raden_torch.capture.photo.simulation.scene import Sheet
+from raden_torch.capture.photo.simulation.simulated_camera import View
 from raden_torch.files import written_beside
 
 _OPENCV = np.diag([1.0, -1.0, -1.0])

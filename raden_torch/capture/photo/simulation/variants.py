@@ -30,7 +30,7 @@ def mitsuba(variant: str = SCALAR) -> Any:
     import mitsuba as mi
 
     if variant not in (SCALAR, LLVM):
-        raise InputError(f"Mitsuba variant {variant!r}; {SCALAR} or {LLVM} was wanted")
+        raise InputError(f"Mitsuba variant: expected {SCALAR} or {LLVM}, got {variant!r}")
     if variant == LLVM and (reason := why_no_llvm()) is not None:
         raise InputError(f"Mitsuba variant {LLVM}: {reason}; {SCALAR} runs everywhere")
     if mi.variant() != variant:

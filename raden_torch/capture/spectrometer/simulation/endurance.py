@@ -26,14 +26,14 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.spectrometer.cells import grid
-from raden_torch.capture.spectrometer.journal import Contents, read_journal
-from raden_torch.capture.spectrometer.plan import FixedPlan, make_plan
+from raden_torch.capture.spectrometer.journal import JournalContents, read_journal
 from raden_torch.capture.spectrometer.ports import Range
 from raden_torch.capture.spectrometer.reduction import reduce_readings
 from raden_torch.capture.spectrometer.rig_config import load_rig
-from raden_torch.capture.spectrometer.scan import Patience, run_scan
-from raden_torch.capture.spectrometer.session import References, open_instruments, open_journal
+from raden_torch.capture.spectrometer.scan import RetryPolicy, run_scan
+from raden_torch.capture.spectrometer.scan_cells import grid
+from raden_torch.capture.spectrometer.scan_plan import FixedPlan, make_plan
+from raden_torch.capture.spectrometer.scan_session import References, open_instruments, open_journal
 from raden_torch.capture.spectrometer.simulation.faults import Fault
 from raden_torch.capture.spectrometer.simulation.simulated_rig import (
     Conditions,
@@ -57,7 +57,7 @@ CHANCES = {
 _TIME_SCALE = 2000.0
 _STEADY = Conditions(noise=0.0, dark_noise_cd_m2=0.0, lamp_drift=0.0)
 _REFERENCES = References(every_s=2.0, readings=2)
-_PATIENCE = Patience(attempts=20, first_wait_s=0.005)
+_RETRY_POLICY = RetryPolicy(attempts=20, first_wait_s=0.005)
 _AT_ONCE = 4  # they wait for their instruments most of the time
 _LONGEST_LIFE_S = 0.5  # of a process, before it is killed
 
@@ -101,7 +101,7 @@ class Endurance:
 
     def fault(self, fault: Fault, *, least: int = 5, most_scans: int = 10) -> Outcome:
         """Scan until a fault has happened `least` times."""
-        done: list[Contents] = []
+        done: list[JournalContents] = []
         with self._rig({fault: CHANCES[fault]}) as rig:
             while rig.faults_injected()[fault] < least and len(done) < most_scans:
                 journal = self.folder / f"{fault.name.lower()}{len(done)}.jsonl"
@@ -116,7 +116,7 @@ class Endurance:
         Each process lives for a random time. POSIX only.
         """
         moment = random.Random(self.seed)
-        done: list[Contents] = []
+        done: list[JournalContents] = []
         killed = 0
         with self._rig({}) as rig:
             while killed < count or self._journal(done).exists():
@@ -128,7 +128,7 @@ class Endurance:
                     done.append(read_journal(journal))
         return self._outcome("kill -9", killed, done)
 
-    def _journal(self, done: list[Contents]) -> Path:
+    def _journal(self, done: list[JournalContents]) -> Path:
         return self.folder / f"killed{len(done)}.jsonl"
 
     @contextmanager
@@ -142,7 +142,7 @@ class Endurance:
         ) as rig:
             yield rig
 
-    def _outcome(self, what: str, tried: int, done: list[Contents]) -> Outcome:
+    def _outcome(self, what: str, tried: int, done: list[JournalContents]) -> Outcome:
         lost = twice = 0
         difference = 0.0
         for contents in done:
@@ -170,7 +170,9 @@ def scan_once(config: Path, plan: FixedPlan, journal: Path) -> None:
             resume=journal.exists(),
         ) as opened,
     ):
-        run_scan(opened, instruments.goniometer, instruments.colorimeter, patience=_PATIENCE)
+        run_scan(
+            opened, instruments.goniometer, instruments.colorimeter, retry_policy=_RETRY_POLICY
+        )
 
 
 def fault_table(outcomes: list[Outcome]) -> str:
@@ -187,7 +189,7 @@ def fault_table(outcomes: list[Outcome]) -> str:
     return "\n".join(lines)
 
 
-def _values(contents: Contents) -> Floats:
+def _values(contents: JournalContents) -> Floats:
     return reduce_readings(contents).measurement.values
 
 

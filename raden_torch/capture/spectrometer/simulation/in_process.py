@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.spectrometer.journal import Contents, Header, Record
+from raden_torch.capture.spectrometer.journal import Header, JournalContents, Record
 from raden_torch.capture.spectrometer.lab_report import now_utc
-from raden_torch.capture.spectrometer.plan import Plan
 from raden_torch.capture.spectrometer.ports import (
     Colorimeter,
     ColorReading,
@@ -24,10 +23,11 @@ from raden_torch.capture.spectrometer.ports import (
 )
 from raden_torch.capture.spectrometer.rig import D65_XYZ, angles_of
 from raden_torch.capture.spectrometer.scan import run_scan
+from raden_torch.capture.spectrometer.scan_plan import Plan
 from raden_torch.capture.spectrometer.simulation.laboratory import Laboratory
-from raden_torch.capture.spectrometer.simulation.scene import FIRST_NM, LAST_NM, Scene
+from raden_torch.capture.spectrometer.simulation.simulated_radiance import FIRST_NM, LAST_NM, Scene
 from raden_torch.capture.spectrometer.simulation.simulated_rig import WHITE_FACTOR, Conditions
-from raden_torch.capture.spectrometer.white import White
+from raden_torch.capture.spectrometer.white_reference import White
 
 _HOME = Position(0.0, 0.0, 0.0)
 _WHITE_AT = Position(45.0, 0.0, 0.0)
@@ -47,7 +47,7 @@ def scan_in_process(
     reference_readings: int = 5,
     sample: str = "",
     white_relative_std: float = 0.0,
-) -> Contents:
+) -> JournalContents:
     """Scan a simulated sample by its plan; what a journal would hold.
 
     Args:
@@ -75,7 +75,7 @@ def scan_in_process(
         started=now_utc(),
         stated=conditions.stated,
     )
-    stage, journal = _Stage(laboratory), _Memory(Contents(header))
+    stage, journal = _Stage(laboratory), _Memory(JournalContents(header))
     run_scan(journal, _Goniometer(stage), _Colorimeter(stage, scene), clock=lambda: stage.now_s)
     return journal.contents
 
@@ -84,7 +84,7 @@ def scan_in_process(
 class _Memory:
     """A journal that is on no disk."""
 
-    contents: Contents
+    contents: JournalContents
 
     def append(self, record: Record) -> None:
         self.contents.add(record)

@@ -14,13 +14,13 @@ from scipy.interpolate import RegularGridInterpolator
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import Target
-from raden_torch.capture.spectrometer.simulation.scene import Scene
+from raden_torch.capture.spectrometer.simulation.simulated_radiance import Scene
 
 _MOVED_DEG = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class InstrumentErrors:
     """What is not perfect; all standard deviations, or relative to the perfect diffuser's light.
 
     Attributes:
@@ -45,7 +45,11 @@ class Laboratory:
     """
 
     def __init__(
-        self, scene: Scene, errors: Errors, white_factor: float, random: np.random.Generator
+        self,
+        scene: Scene,
+        errors: InstrumentErrors,
+        white_factor: float,
+        random: np.random.Generator,
     ) -> None:
         self._scene, self._errors, self._random = scene, errors, random
         self._white = np.full(len(scene.lamp), white_factor / 100.0)

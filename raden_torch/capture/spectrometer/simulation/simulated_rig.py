@@ -19,8 +19,8 @@ from raden_torch.capture.spectrometer.csv_file import load_csv
 from raden_torch.capture.spectrometer.rig import Rig
 from raden_torch.capture.spectrometer.rig_config import load_rig
 from raden_torch.capture.spectrometer.simulation.faults import Fault, read_log
-from raden_torch.capture.spectrometer.simulation.laboratory import Errors
-from raden_torch.capture.spectrometer.stated import StatedUncertainty
+from raden_torch.capture.spectrometer.simulation.laboratory import InstrumentErrors
+from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
 from raden_torch.errors import InputError
 
 WHITE_FACTOR = 99.0
@@ -68,14 +68,14 @@ class Conditions:
         for field in fields(self):
             value = getattr(self, field.name)
             if not 0.0 <= value < math.inf:
-                raise InputError(f"conditions: {field.name} = {value!r}; at least 0 was wanted")
+                raise InputError(f"conditions: {field.name}: expected at least 0, got {value!r}")
         if self.white_luminance_cd_m2 == 0.0:
-            raise InputError("conditions: white_luminance_cd_m2 = 0; more than 0 was wanted")
+            raise InputError("conditions: white_luminance_cd_m2: expected more than 0, got 0")
 
     @property
-    def errors(self) -> Errors:
+    def errors(self) -> InstrumentErrors:
         """As the laboratory has them, relative to the perfect diffuser's light."""
-        return Errors(
+        return InstrumentErrors(
             noise=self.noise,
             dark_noise=self.dark_noise_cd_m2 / self.white_luminance_cd_m2,
             dark_level=self.dark_level_cd_m2 / self.white_luminance_cd_m2,
@@ -134,7 +134,7 @@ def simulated_rig(
         InputError: the measurement cannot be read or is not a grid; a number is out of range; the
             system has no ptys.
     """
-    from raden_torch.capture.spectrometer.simulation.scene import make_scene
+    from raden_torch.capture.spectrometer.simulation.simulated_radiance import make_scene
 
     _check(seed, faults or {}, time_scale)
     if sys.platform == "win32":
@@ -176,12 +176,14 @@ def simulated_rig(
 
 def _check(seed: int, faults: Mapping[Fault, float], time_scale: float) -> None:
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise InputError(f"seed = {seed!r}; a whole number of at least 0 was wanted")
+        raise InputError(f"seed: expected a whole number of at least 0, got {seed!r}")
     if not 0.0 < time_scale <= 10_000.0:
-        raise InputError(f"time_scale = {time_scale!r}; more than 0, up to 10000 was wanted")
+        raise InputError(f"time_scale: expected more than 0, up to 10000, got {time_scale!r}")
     for fault, chance in faults.items():
         if not isinstance(fault, Fault) or not 0.0 <= chance <= 1.0:
-            raise InputError(f"faults: {fault}: {chance!r}; a Fault and its chance 0…1 were wanted")
+            raise InputError(
+                f"faults: expected a Fault and its chance 0…1, got {fault}: {chance!r}"
+            )
 
 
 def _start(module: str, link: str, config: dict[str, Any], folder: Path) -> subprocess.Popen[bytes]:

@@ -17,9 +17,9 @@ import numpy as np
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import Target
 from raden_torch.capture.spectrometer.simulation.faults import Fault, FaultPlan
-from raden_torch.capture.spectrometer.simulation.laboratory import Errors, Laboratory
-from raden_torch.capture.spectrometer.simulation.scene import load_scene
+from raden_torch.capture.spectrometer.simulation.laboratory import InstrumentErrors, Laboratory
 from raden_torch.capture.spectrometer.simulation.serve import Outbox, serve
+from raden_torch.capture.spectrometer.simulation.simulated_radiance import load_scene
 from raden_torch.capture.spectrometer.simulation.stage import read_stage
 
 IDENTITY = "CS-2000   ,1,simulated"
@@ -149,7 +149,7 @@ class Spectroradiometer:
         return "ER17"
 
 
-class Look:
+class SeenRadiance:
     """Spectral radiance in front of the instrument, by what the stage's file says."""
 
     def __init__(self, config: dict[str, Any], laboratory: Laboratory):
@@ -182,9 +182,12 @@ def main(config: Path) -> None:
         Path(c["fault_log"]),
     )
     laboratory = Laboratory(
-        scene, Errors(**c["errors"]), c["white_factor"], np.random.default_rng(c["seed"] + 2)
+        scene,
+        InstrumentErrors(**c["errors"]),
+        c["white_factor"],
+        np.random.default_rng(c["seed"] + 2),
     )
-    look = Look(c, laboratory)
+    look = SeenRadiance(c, laboratory)
     instrument = Spectroradiometer(faults, look, scene.xyz_of, c["saturation"])
     serve(instrument, Path(c["link"]), faults, c["time_scale"], c["began_s"])
 

@@ -1,0 +1,186 @@
+"""The white reference in the picture: what camera signal stands for which reflectance factor?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.arrays import Floats
+from raden_torch.capture.photo.brdf.lighting import Lamp
+from raden_torch.capture.photo.brdf.photo_angles import angles_deg
+from raden_torch.capture.photo.brdf.rays import Rays
+from raden_torch.capture.photo.brdf.sample_shapes import Plane
+from raden_torch.capture.photo.brdf.series import Frame
+from raden_torch.errors import InputError
+
+D65_XYZ = np.array([95.047, 100.0, 108.883])
+"""The perfect reflecting diffuser's reflectance factor: CIE 1931 2°, D65."""
+
+_FACING = 0.25
+"""cos θi below which a lamp does not light the white well."""
+_FEWEST_PX = 30
+_CLIPPED = 0.1
+_BLOCKS = 8
+_UNEVEN = 0.15
+_DIM = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteFactor:
+    """How much the white reflects.
+
+    Attributes:
+        xyz: `[3]` its XYZ reflectance factor in every geometry, where there is no file.
+        file: a measurement of it, which is looked up at the white's own geometry.
+        relative_std: standard uncertainty (k = 1) of either, from its certificate.
+        name: of the reference: measurements that name the same share its error.
+    """
+
+    xyz: Floats
+    file: Path | None = None
+    relative_std: float = 0.0
+    name: str = ""
+
+    def at(self, angles: NDArray[np.floating[Any]]) -> Floats:
+        """`[3]` at incidence, receiving and tilt in degrees."""
+        if self.file is None:
+            return self.xyz
+        from raden_torch.capture.spectrometer.ports import Position
+        from raden_torch.capture.spectrometer.white_file import xyz_at
+
+        return xyz_at(self.file, Position(*(float(angle) for angle in angles)))
+
+
+@dataclass(frozen=True, eq=False)
+class WhitePlace:
+    """The white in one photograph: `[P]` columns and rows of its pixels, and its plane."""
+
+    x_px: NDArray[np.intp]
+    y_px: NDArray[np.intp]
+    plane: Plane
+
+
+@dataclass(frozen=True, eq=False)
+class WhiteReading:
+    """The white under one lamp.
+
+    Attributes:
+        rgb: `[3]` its signal for θi = 0, at the irradiance of the sample's middle.
+        std: `[3]` of `rgb`, relative: from how the signal varies over the white.
+        xyz: `[3]` its reflectance factor at this lamp.
+        unevenness: relative standard deviation over its parts.
+    """
+
+    rgb: Floats
+    std: Floats
+    xyz: Floats
+    unevenness: float
+
+
+def read_white(
+    frame: Frame, place: WhitePlace, rays: Rays, lamp: Lamp, middle: Floats, factor: WhiteFactor
+) -> WhiteReading | None:
+    """The white in one photograph; None where its lamp does not light it well, or it is clipped.
+
+    A pixel's signal is divided by cos θi (d_middle/d)²; the median over the pixels is taken.
+    """
+    usable = frame.usable[place.y_px, place.x_px]
+    surface = place.plane.seen(rays)
+    light, falloff = lamp.at(surface.point, middle)
+    cosine = (light * surface.normal).sum(1)
+    good = usable & (cosine > _FACING)
+    if good.sum() < _FEWEST_PX or usable.mean() < 1 - _CLIPPED or good.mean() < 0.5:
+        return None
+    signal = frame.radiance[place.y_px[good], place.x_px[good]].astype(np.float64)
+    level = signal / (cosine[good] * falloff[good])[:, None]
+    rgb = np.median(level, axis=0)
+    if not (rgb > _DIM * max(float(np.median(frame.radiance.max())), 1e-12)).all():
+        return None
+    # blocks beside each other: noise averages out in them, shading and stains do not
+    order = np.argsort(place.x_px[good] + 3 * place.y_px[good], kind="stable")
+    blocks = [np.median(level[part], axis=0) for part in np.array_split(order, _BLOCKS)]
+    spread = np.std(blocks, axis=0, ddof=1) / rgb
+    at = np.median(angles_deg(surface.normal[good], light[good], -rays.direction[good]), axis=0)
+    return WhiteReading(rgb, spread / np.sqrt(_BLOCKS), factor.at(at), float(np.median(spread)))
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """From camera signal to reflectance, for every shot.
+
+    Attributes:
+        rgb: `[K, 3]` the white's signal for θi = 0 under each shot's lamp.
+        std: `[K, 3]` of it, relative.
+        xyz: `[3]` the white's reflectance factor that it stands for.
+        measured: `[K]` the white was read in that shot; else its lamp's intensity was taken.
+        notes: what a person should know.
+    """
+
+    rgb: Floats
+    std: Floats
+    xyz: Floats
+    measured: NDArray[np.bool_]
+    notes: tuple[str, ...]
+
+    @property
+    def mean_rgb(self) -> Floats:
+        """`[3]` the white under the mean lamp, brightest channel 1."""
+        mean = self.rgb.mean(axis=0)
+        return np.asarray(mean / mean.max())
+
+
+def scale_of(
+    readings: Sequence[WhiteReading | None], lamps: Sequence[Lamp], names: Sequence[str]
+) -> Scale:
+    """Each shot's scale: from the white in it, else from its lamp's relative intensity.
+
+    Raises:
+        InputError: no shot shows the white well lit, or its factors differ between the lamps.
+    """
+    measured = np.array([reading is not None for reading in readings])
+    there = [reading for reading in readings if reading is not None]
+    if not there:
+        raise InputError(
+            f"{names[0]} … {names[-1]}: the white reference was not found: dark, over-exposed or "
+            "lit at a grazing angle in every photograph; check where it is, and expose so that it "
+            "stays below the white level"
+        )
+    xyz = np.mean([reading.xyz for reading in there], axis=0)
+    expected = np.array([lamp.rgb for lamp in lamps])
+    ratios = np.array(
+        [r.rgb / r.xyz * xyz / e for r, e in zip(readings, expected, strict=True) if r is not None]
+    )
+    usual = np.median(ratios, axis=0)
+    # how well the intensities predict the white where both are known
+    doubt = 1.4826 * np.median(abs(ratios / usual - 1), axis=0) if len(ratios) > 2 else 0.05
+    rgb, std = expected * usual, np.broadcast_to(doubt, expected.shape).copy()
+    for k, reading in enumerate(readings):
+        if reading is not None:
+            rgb[k], std[k] = reading.rgb / reading.xyz * xyz, reading.std
+    notes = []
+    without = [name for name, there_ in zip(names, measured, strict=True) if not there_]
+    if without:
+        notes.append(
+            f"the white was not read in {_listed(without)}: lit at a grazing angle, dark or "
+            "clipped; the lamps' relative intensities were taken"
+        )
+    uneven = [
+        name
+        for name, r in zip(names, readings, strict=True)
+        if r is not None and r.unevenness > _UNEVEN
+    ]
+    if uneven:
+        notes.append(
+            f"the white is uneven in {_listed(uneven)}: a shadow on it, or another normal or "
+            "distance than was given?"
+        )
+    return Scale(rgb, std, xyz, measured, tuple(notes))
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:5]) + (f" and {len(names) - 5} more" if len(names) > 5 else "")

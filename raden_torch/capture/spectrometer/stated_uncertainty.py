@@ -1,0 +1,62 @@
+"""What a rig states of its own uncertainty, and a journal keeps."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from raden_torch.errors import InputError
+
+Triple = tuple[float, float, float]
+
+_NONE: Triple = (0.0, 0.0, 0.0)
+_MOST_DEG = 10.0
+
+
+@dataclass(frozen=True)
+class StatedUncertainty:
+    """Standard uncertainties (k = 1) that no reading can show; 0 where nothing is stated.
+
+    Attributes:
+        zero_std_deg: of the zeros of incidence, receiving and tilt: one error in a whole scan.
+        position_std_deg: of each of them after a move: another error every time.
+        wavelength_std_nm: of an instrument's wavelengths.
+        xyz_std: relative, of X, Y and Z of an instrument without a spectrum.
+    """
+
+    zero_std_deg: Triple = _NONE
+    position_std_deg: Triple = _NONE
+    wavelength_std_nm: float = 0.0
+    xyz_std: float = 0.0
+
+    def __post_init__(self) -> None:
+        for what in (*self.zero_std_deg, *self.position_std_deg, self.wavelength_std_nm):
+            if not 0.0 <= what <= _MOST_DEG:
+                raise InputError(
+                    f"stated uncertainty: expected 0…{_MOST_DEG:g} degrees (or nm), got {what:g}"
+                )
+        if not (math.isfinite(self.xyz_std) and 0.0 <= self.xyz_std < 1.0):
+            raise InputError(f"stated uncertainty of XYZ: expected 0…1, got {self.xyz_std:g}")
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "zero_std_deg": list(self.zero_std_deg),
+            "position_std_deg": list(self.position_std_deg),
+            "wavelength_std_nm": self.wavelength_std_nm,
+            "xyz_std": self.xyz_std,
+        }
+
+    @classmethod
+    def from_json(cls, data: dict[str, Any]) -> StatedUncertainty:
+        return cls(
+            _triple(data["zero_std_deg"]),
+            _triple(data["position_std_deg"]),
+            float(data["wavelength_std_nm"]),
+            float(data["xyz_std"]),
+        )
+
+
+def _triple(values: Any) -> Triple:
+    a, r, t = (float(value) for value in values)
+    return a, r, t
