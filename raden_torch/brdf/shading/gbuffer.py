@@ -89,6 +89,10 @@ class GBuffer:
             raise InputError(
                 f"depth: {depth.dtype} {list(depth.shape)}; floating-point [B, 1, H, W] was wanted"
             )
+        if min(depth.shape[-2:]) < 2:
+            raise InputError(
+                f"depth: expected at least 2 x 2 pixels to make normals of, got {list(depth.shape)}"
+            )
         if intrinsics.shape[-2:] != (3, 3) or intrinsics.ndim not in (2, 3):
             raise InputError(
                 f"intrinsics: shape {list(intrinsics.shape)}; [3, 3] or [B, 3, 3] was wanted"
