@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import io
 import signal
 import sys
 import warnings
@@ -22,6 +23,8 @@ except KeyboardInterrupt:  # while the command starts
 from raden_torch.errors import InputError
 from raden_torch.interrupts import Interrupted, ignore_signals, signals_interrupt
 
+_NO_MEMORY = "not enough memory; smaller pictures (--size) or fewer readings need less"
+
 
 def main() -> None:
     """Run the command; anything wrong with the input is one line on stderr and exit code 2.
@@ -29,6 +32,8 @@ def main() -> None:
     A signal that ends it is one line, too, and exit code 128 + its number.
     """
     warnings.showwarning = _print_warning
+    if isinstance(sys.stdout, io.TextIOWrapper):  # what a terminal's encoding lacks is escaped
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with signals_interrupt():
             app()
@@ -37,10 +42,16 @@ def main() -> None:
         sys.exit(error.exit_code)
     except InputError as error:
         _fail(str(error))
+    except Warning as error:  # PYTHONWARNINGS=error
+        _fail(f"stopped at a warning: {error}")
     except OSError as error:
-        _fail(f"{error.filename or 'file'}: {error.strerror or error}")
+        _fail(f"{error.filename or 'output'}: {error.strerror or error}")
     except MemoryError:
-        _fail("not enough memory; use a smaller --size")
+        _fail(_NO_MEMORY)
+    except RuntimeError as error:
+        if "allocate memory" not in str(error):  # how torch says it
+            raise
+        _fail(_NO_MEMORY)
     finally:
         atexit.register(ignore_signals)
 

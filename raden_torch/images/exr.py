@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sys
+import threading
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
@@ -31,6 +32,8 @@ MAX_SIDE = 2**20
 
 Parts = dict[str, dict[str, NDArray[np.float32]]]
 
+_ONE_AT_A_TIME = threading.Lock()
+"""Held while the process's outputs are caught."""
 _MAGIC = b"\x76\x2f\x31\x01"
 _MULTI_PART = 0x10  # in the second byte of the version field
 
@@ -146,7 +149,7 @@ def write_arrays(
     try:
         with _captured():
             made = [OpenEXR.Part(dict(header), dict(a), part) for part, a in parts.items()]
-            OpenEXR.File(made).write(str(path))
+            OpenEXR.File(made).write(os.fsencode(path))
     except (RuntimeError, ValueError, TypeError) as error:
         reason = " ".join(str(error).replace(str(path), str(meant)).split())
         raise InputError(f"{meant}: OpenEXR cannot write it: {reason}") from None
@@ -209,7 +212,9 @@ def _open(path: str | os.PathLike[str], *, header_only: bool) -> tuple[Any, str]
 
     try:
         with _captured() as said:
-            file = OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
+            # the name's own bytes: as text it would have to be UTF-8
+            name = os.fsencode(path)
+            file = OpenEXR.File(name, separate_channels=True, header_only=header_only)
     except MemoryError:
         raise
     except Exception:  # the binding lets through whatever C++ throws
@@ -228,12 +233,23 @@ def _open(path: str | os.PathLike[str], *, header_only: bool) -> tuple[Any, str]
 def _captured() -> Iterator[StringIO]:
     """Catch what OpenEXR prints: C++ writes to the process's stderr, the binding to stdout."""
     said = StringIO()
-    sys.stderr.flush()
-    saved, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    with _ONE_AT_A_TIME, redirect_stdout(said), _without_stderr():
+        yield said
+
+
+@contextmanager
+def _without_stderr() -> Iterator[None]:
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    try:
+        saved = os.dup(2)
+    except OSError:  # the process was started without one
+        yield
+        return
+    sink = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(sink, 2)
-        with redirect_stdout(said):
-            yield said
+        yield
     finally:
         os.dup2(saved, 2)
         os.close(saved)

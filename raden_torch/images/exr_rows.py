@@ -42,6 +42,7 @@ class ExrRows:
     Attributes:
         size: height and width of the display window.
         keys: (key, part, channel) of all channels, as of `exr.channel_keys`.
+        pixel_aspect: width over height of a pixel, as the header says; 1 where it does not.
 
     Raises:
         InputError: as for `exr.read_parts`, where the limits hold for the rows read at once.
@@ -50,8 +51,10 @@ class ExrRows:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = path
         self._headers = headers_of(path, by_rows=True)
-        (left, top), (right, bottom) = next(iter(self._headers.values()))["displayWindow"]
+        first = next(iter(self._headers.values()))
+        (left, top), (right, bottom) = first["displayWindow"]
         self.size = (int(bottom - top + 1), int(right - left + 1))
+        self.pixel_aspect = float(first.get("pixelAspectRatio", 1.0))
         self._top = int(top)
         names = {
             part: {channel.name: None for channel in header["channels"]}

@@ -72,7 +72,8 @@ def read_gbuffer(
         channels: layers by name, `{"normal": "MyLayer", "position": …, "depth": "Z2", "mask": …}`;
             a vector's three channels also as "nx,ny,nz".
         intrinsics: `[3, 3]` pinhole matrix in pixels of the display window, y down.
-        fov_deg: instead, the horizontal angle of view of square pixels around the centre.
+        fov_deg: instead, the horizontal angle of view around the centre; the header's pixel aspect
+            ratio makes it the vertical one.
         camera: `[3]`, the viewer's position, for a file with positions.
         view: `[3]` towards a viewer at infinity, or a map `[1, 3, H, W]`.
         smooth_px: standard deviation of a Gaussian over the depth before normals are made of it;
@@ -155,7 +156,7 @@ class GBufferFile:
         self._normal, self._coded = self._normals(layers)
         self._depth, self._mask = layers.scalar("depth"), layers.scalar("mask")
         self._position = None if self._normal is None else layers.vector("position")
-        self._matrix = pinhole_matrix(intrinsics, fov_deg, self.size)
+        self._matrix = self._pinhole(intrinsics, fov_deg)
         self._check(layers)
 
     def rows(self, top: int, bottom: int) -> GBuffer:
@@ -183,6 +184,14 @@ class GBufferFile:
             return keys, False
         found = evidence(self._file, keys, self.bands)
         return (keys if named or found.is_normals else None), found.is_coded
+
+    def _pinhole(
+        self, intrinsics: Tensor | ArrayLike | None, fov_deg: float | None
+    ) -> Tensor | None:
+        try:
+            return pinhole_matrix(intrinsics, fov_deg, self.size, self._file.pixel_aspect)
+        except InputError as error:
+            raise InputError(f"{self.path}: {error}") from None
 
     def _check(self, layers: Layers) -> None:
         pinhole = self._matrix is not None

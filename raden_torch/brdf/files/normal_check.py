@@ -194,7 +194,7 @@ def _least_curl(
 
 def _curls(n: Tensor, there: Tensor, step: float) -> Iterator[list[float]]:
     """c of the four arrangements of `[B, 3, H, W]`, at each scale that has enough cells."""
-    for size in _POOLED:
+    for size in (size for size in _POOLED if size <= min(n.shape[-2:])):
         mean = avg_pool2d(n, size) if size > 1 else n
         whole = avg_pool2d(there[:, None].float(), size)[:, 0] == 1 if size > 1 else there
         x, y, z = mean.unbind(1)

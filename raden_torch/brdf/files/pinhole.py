@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import radians, tan
+from math import inf, radians, tan
 
 import numpy as np
 import torch
@@ -16,13 +16,17 @@ Y_UP = (1.0, -1.0, -1.0)
 
 
 def pinhole_matrix(
-    intrinsics: Tensor | ArrayLike | None, fov_deg: float | None, size: tuple[int, int]
+    intrinsics: Tensor | ArrayLike | None,
+    fov_deg: float | None,
+    size: tuple[int, int],
+    pixel_aspect: float = 1.0,
 ) -> Tensor | None:
     """`[3, 3]` float32 in pixels, y down; None where neither is given.
 
     Args:
-        fov_deg: the horizontal angle of view of square pixels around the centre of `size`, which
-            is height and width.
+        fov_deg: the horizontal angle of view of the pixels around the centre of `size`, which is
+            height and width.
+        pixel_aspect: width over height of a pixel, for `fov_deg`.
     """
     if intrinsics is not None and fov_deg is not None:
         raise InputError("camera: expected intrinsics or fov_deg, got both")
@@ -30,9 +34,13 @@ def pinhole_matrix(
     if fov_deg is not None:
         if not 0 < fov_deg < 180:
             raise InputError(f"fov_deg: expected an angle between 0 and 180, got {fov_deg:g}")
+        if not 0 < pixel_aspect < inf:
+            raise InputError(f"pixel aspect ratio: expected above 0, got {pixel_aspect:g}")
         focal = width / 2 / tan(radians(fov_deg) / 2)
         centre_x, centre_y = (width - 1) / 2, (height - 1) / 2
-        intrinsics = np.array([[focal, 0, centre_x], [0, focal, centre_y], [0, 0, 1]])
+        intrinsics = np.array(
+            [[focal, 0, centre_x], [0, focal * pixel_aspect, centre_y], [0, 0, 1]]
+        )
     if intrinsics is None:
         return None
     matrix = torch.as_tensor(intrinsics, dtype=torch.float32)

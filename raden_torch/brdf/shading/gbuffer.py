@@ -90,6 +90,10 @@ class GBuffer:
                 f"depth: expected floating-point [B, 1, H, W], got {depth.dtype} "
                 f"{list(depth.shape)}"
             )
+        if min(depth.shape[-2:]) < 2:
+            raise InputError(
+                f"depth: expected at least 2 x 2 pixels to make normals of, got {list(depth.shape)}"
+            )
         if intrinsics.shape[-2:] != (3, 3) or intrinsics.ndim not in (2, 3):
             raise InputError(
                 f"intrinsics: expected shape [3, 3] or [B, 3, 3], got {list(intrinsics.shape)}"

@@ -1,0 +1,5 @@
+"""`python -m raden_torch` is `raden`."""
+
+from raden_torch.cli import main
+
+main()
