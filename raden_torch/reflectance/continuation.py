@@ -67,10 +67,19 @@ class Continued:
     def __call__(self, angles_deg: Floats, channels: slice = slice(None)) -> Floats:
         """`[M, 3]` incidence, receiving, tilt in degrees → `[M, C]` reflectance factors ≥ 0."""
         box = np.stack([self.inner.grid.low, self.inner.grid.high])
-        found = self.inner(np.clip(angles_deg, *box), channels)
+        held = np.clip(angles_deg, *box)
+        found = self.inner(held, channels)
         out = ~self.inner.grid.contains(angles_deg)
-        change = log_change(self.look, angles_deg[out], box)[:, channels]
-        found[out] = np.maximum((FLOOR + found[out]) * np.exp(change) - FLOOR, 0)
+        q, nearest = angles_deg[out], found[out]
+        logs = np.log(FLOOR + nearest) + log_change(self.look, q, box)[:, channels]
+        # within a step of the box a narrow ridge is followed as in it
+        near = np.maximum(1 - abs(q - held[out]) / self.inner.grid.step, 0).prod(axis=1)
+        beside = near > 0
+        along = held[out][beside]
+        along[:, 1] = q[beside, 1]
+        ridge = np.log(FLOOR + self.inner(along, channels))
+        logs[beside] += near[beside, None] * (ridge - logs[beside])
+        found[out] = np.maximum(np.exp(logs) - FLOOR, 0)
         return found
 
 

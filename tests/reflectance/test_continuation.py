@@ -226,3 +226,20 @@ def test_real_materials_are_continued(shared: Path) -> None:
     error, held, ratio = np.median(found, axis=0)
     assert error < 0.03 < 0.06 < held
     assert ratio < 0.6
+
+
+@pytest.mark.parametrize("scheme", ["trilinear", "lobes"])
+def test_the_function_goes_on_from_its_interpolant(scheme: str) -> None:
+    """No step at the faces, nor where following the ridge ends; narrow ridges included."""
+    axes = axes_of()
+    a, r, t = np.moveaxis(nodes(axes), -1, 0)
+    narrow = 1 + 300 * np.exp(-(((r - a) / 6) ** 2) - (t / 4) ** 2)
+    inner = interpolate(axes, np.repeat(narrow[..., None], 3, axis=3), scheme)
+    function = continued(inner, np.repeat(narrow[..., None], 3, axis=3))
+    q = directions(2000, 89)
+    held = np.clip(q, *BOX)
+    np.testing.assert_allclose(
+        function(held + 1e-7 * np.sign(q - held)), inner(held), rtol=1e-4, atol=1e-4
+    )
+    step = 1e-6 * np.random.default_rng(3).normal(size=q.shape)
+    np.testing.assert_allclose(function(q + step), function(q), rtol=1e-3, atol=1e-3)
