@@ -1,9 +1,10 @@
-"""The `raden` command as a user calls it: as a process, on files."""
+"""The `raden` command as a user calls it, on files: each subcommand once as a process."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -13,12 +14,12 @@ import pytest
 
 import raden_torch as rt
 
+Command = Callable[..., subprocess.CompletedProcess[str]]
 
-def raden(
-    *arguments: object, cwd: Path | None = None, warn: str = "error"
-) -> subprocess.CompletedProcess[str]:
+
+def process(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-W", warn, "-m", "raden_torch.cli", *map(str, arguments)],
+        [sys.executable, "-W", "error", "-m", "raden_torch.cli", *map(str, arguments)],
         capture_output=True,
         text=True,
         cwd=cwd,
@@ -31,23 +32,23 @@ def shell(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a measurement and the model that `raden fit` made of it."""
     folder = tmp_path_factory.mktemp("cli")
     rt.simulate_specimen("yakogai").save(folder / "shell.csv")
-    done = raden("fit", folder / "shell.csv", "-o", folder / "shell.safetensors")
+    done = process("fit", folder / "shell.csv", "-o", folder / "shell.safetensors")
     assert done.returncode == 0, done.stderr
     assert "12615 measured" in done.stdout
     assert "reciprocity" in done.stdout
     return folder
 
 
-def test_info_of_both_kinds(shell: Path) -> None:
+def test_info_of_both_kinds(raden: Command, shell: Path) -> None:
     measurement = raden("info", shell / "shell.csv").stdout
     assert "simulated" in measurement
     assert "incidence: 0…70 deg by 5, 15 values" in measurement
-    model = raden("info", shell / "shell.safetensors", "--against", shell / "shell.csv").stdout
+    model = process("info", shell / "shell.safetensors", "--against", shell / "shell.csv").stdout
     assert "model of yakogai" in model
     assert "12615 readings: RMS 0.00000" in model
 
 
-def test_a_spreadsheets_table_is_read_with_a_word(tmp_path: Path) -> None:
+def test_a_spreadsheets_table_is_read_with_a_word(raden: Command, tmp_path: Path) -> None:
     table = tmp_path / "shell.csv"
     text = "# material: 夜光貝\nIncidence (deg);Receiving (deg);Tilt (deg);X;Y;Z\n1;2;0;1,5;2;3\n"
     table.write_bytes(text.encode("cp932"))
@@ -68,7 +69,7 @@ def test_a_spreadsheets_table_is_read_with_a_word(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_render_takes_light_and_camera(shell: Path) -> None:
+def test_render_takes_light_and_camera(raden: Command, shell: Path) -> None:
     pictures = []
     for i, options in enumerate(
         (
@@ -79,7 +80,8 @@ def test_render_takes_light_and_camera(shell: Path) -> None:
     ):
         path = shell / f"{i}.png"
         model = shell / "shell.safetensors"
-        done = raden("render", model, "--shape", "sphere", "--size", 96, "-o", path, *options)
+        render = process if not options else raden
+        done = render("render", model, "--shape", "sphere", "--size", 96, "-o", path, *options)
         assert done.returncode == 0, done.stderr
         assert f"wrote {path}" in done.stdout
         pictures.append(cv2.imread(str(path)))
@@ -90,13 +92,14 @@ def test_render_takes_light_and_camera(shell: Path) -> None:
 
 
 @pytest.mark.slow
-def test_render_plate_plot_and_relight(shell: Path) -> None:
+def test_render_plate_plot_and_relight(raden: Command, shell: Path) -> None:
     model = shell / "shell.safetensors"
     done = raden("render", model, "--shape", "plate", "--size", 64, "-o", shell / "plate.png")
     assert done.returncode == 0, done.stderr
     assert cv2.imread(str(shell / "plate.png")).max() > 100
     for source in ("shell.csv", "shell.safetensors"):
-        done = raden(
+        plot = process if source == "shell.csv" else raden
+        done = plot(
             "plot", shell / source, "--figure", "5", "--figure", "path", "-o", shell / "g.png"
         )
         assert done.returncode == 0, done.stderr
@@ -112,7 +115,7 @@ def test_render_plate_plot_and_relight(shell: Path) -> None:
         cv2.imwrite(str(shell / name), np.full((n, n, 3), 90, np.uint8))
     maps = ("--normals", shell / "n.png", "--mask", shell / "m.png", "--model", model)
     both = (shell / "p1.png", shell / "p2.png")
-    done = raden("relight", *both, *maps, "--light", "1,0,1", "-o", shell / "relit")
+    done = process("relight", *both, *maps, "--light", "1,0,1", "-o", shell / "relit")
     assert done.returncode == 0, done.stderr
     one, two = (cv2.imread(str(shell / "relit" / p.name)) for p in both)
     assert np.array_equal(one, two)
@@ -130,7 +133,7 @@ def test_render_plate_plot_and_relight(shell: Path) -> None:
 
 
 @pytest.mark.slow
-def test_exr_gbuffers(shell: Path, shared: Path) -> None:
+def test_exr_gbuffers(raden: Command, shell: Path, shared: Path) -> None:
     model, folder = shell / "shell.safetensors", shared / "data/gbuffer"
     done = raden("render", model, "--gbuffer", folder / "normals.exr", "-o", shell / "box.exr")
     assert done.returncode == 0, done.stderr
@@ -153,7 +156,9 @@ def test_exr_gbuffers(shell: Path, shared: Path) -> None:
 
 
 @pytest.mark.slow
-def test_depth_along_the_ray_is_the_planar_picture(shell: Path, shared: Path) -> None:
+def test_depth_along_the_ray_is_the_planar_picture(
+    raden: Command, shell: Path, shared: Path
+) -> None:
     from raden_torch.brdf.files.gbuffer_file import read_colour
 
     folder, pictures = shared / "data/cases", []
@@ -169,7 +174,7 @@ def test_depth_along_the_ray_is_the_planar_picture(shell: Path, shared: Path) ->
 
 @pytest.mark.slow
 def test_demo_makes_a_gallery(tmp_path: Path) -> None:
-    done = raden("demo", "--out", tmp_path / "gallery", "--size", 128)
+    done = process("demo", "--out", tmp_path / "gallery", "--size", 128)
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "gallery/index.html").read_text("utf-8")
     shown: list[str] = []
@@ -185,11 +190,11 @@ def test_demo_makes_a_gallery(tmp_path: Path) -> None:
     assert rt.load_model(tmp_path / "gallery/shell.safetensors").provenance.simulated
 
 
-def test_export_and_verify(shell: Path) -> None:
-    made = raden("export", shell / "shell.safetensors", "-o", shell / "shell.onnx")
+def test_export_and_verify(raden: Command, shell: Path) -> None:
+    made = process("export", shell / "shell.safetensors", "-o", shell / "shell.onnx")
     assert (made.returncode, made.stderr) == (0, "")
     assert f"wrote {shell / 'shell.onnx'}" in made.stdout
-    again = raden("verify", shell / "shell.onnx")
+    again = process("verify", shell / "shell.onnx")
     assert (again.returncode, again.stderr) == (0, "")
     for report in (made, again):
         assert "gbuffer profile, output radiance" in report.stdout
@@ -234,7 +239,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_input_is_one_line_and_exit_code_2(name: str, tmp_path: Path) -> None:
+def test_bad_input_is_one_line_and_exit_code_2(raden: Command, name: str, tmp_path: Path) -> None:
     (tmp_path / "bad.csv").write_text("incidence_deg,receiving_deg,tilt_deg,X,Y,Z\n1,2,3,4,5\n")
     done = raden(*BAD[name], cwd=tmp_path)
     assert done.returncode == 2
@@ -244,10 +249,20 @@ def test_bad_input_is_one_line_and_exit_code_2(name: str, tmp_path: Path) -> Non
     assert [p.name for p in tmp_path.iterdir()] == ["bad.csv"]
 
 
+@pytest.mark.parametrize("name", ["bad measurement", "unknown light", "verify nothing"])
+def test_a_process_ends_as_the_command_does_in_this_one(
+    raden: Command, name: str, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.csv").write_text("incidence_deg,receiving_deg,tilt_deg,X,Y,Z\n1,2,3,4,5\n")
+    alone, here = (run(*BAD[name], cwd=tmp_path) for run in (process, raden))
+    assert alone.returncode == here.returncode == 2
+    assert (alone.stdout, alone.stderr) == (here.stdout, here.stderr)
+
+
 @pytest.mark.parametrize(
     "command", ["fit", "info", "plot", "render", "relight", "demo", "export", "verify"]
 )
 def test_help_has_an_example(command: str) -> None:
-    done = raden(command, "--help")
+    done = process(command, "--help")
     assert done.returncode == 0
     assert f"Example: raden {command}" in done.stdout

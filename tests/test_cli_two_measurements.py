@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,14 +15,7 @@ import raden_torch as rt
 from raden_torch.measurement import native_csv
 from raden_torch.measurement.systematic_errors import SystematicErrors
 
-
-def raden(*arguments: object) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-W", "error", "-m", "raden_torch.cli", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
+Command = Callable[..., subprocess.CompletedProcess[str]]
 
 
 def with_noise(source: Path, target: Path, seed: int, scale_std: float = 0.0) -> Path:
@@ -37,7 +30,7 @@ def with_noise(source: Path, target: Path, seed: int, scale_std: float = 0.0) ->
 
 @pytest.mark.slow
 def test_real_paint_agrees_with_itself_and_not_with_spectralon(
-    shared: Path, tmp_path: Path
+    raden: Command, shared: Path, tmp_path: Path
 ) -> None:
     folder = shared / "data" / "measured_brdf"
     first, second = (
@@ -77,7 +70,7 @@ def test_real_paint_agrees_with_itself_and_not_with_spectralon(
     assert found.metadata.systematic.scale_std == pytest.approx(0.01 / np.sqrt(2), rel=1e-3)
 
 
-def test_what_is_wrong_is_said_in_one_line(tmp_path: Path) -> None:
+def test_what_is_wrong_is_said_in_one_line(raden: Command, tmp_path: Path) -> None:
     m = rt.simulate_specimen("yakogai", step_deg=35)
     m.save(tmp_path / "a.csv")
     for arguments, words in (

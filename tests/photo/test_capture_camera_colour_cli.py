@@ -1,4 +1,4 @@
-"""`raden capture calibrate` and `colour` as a user calls them: as a process, on files."""
+"""`raden capture calibrate` and `colour` as a user calls them, on files; once as a process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,15 @@ from raden_torch.errors import InputError
 BOARD = ("--squares", "5x7", "--square", "0.04", "--marker", "0.02")
 
 
-def raden(*arguments: object) -> subprocess.CompletedProcess[str]:
+Command = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def capture(raden: Command) -> Command:
+    return lambda *arguments: raden("capture", *arguments)
+
+
+def process(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-W", "error", "-m", "raden_torch.cli", "capture", *map(str, arguments)],
         capture_output=True,
@@ -31,7 +39,7 @@ def raden(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_calibrate(board_scene: Callable, tmp_path: Path) -> None:
+def test_calibrate(capture: Command, board_scene: Callable, tmp_path: Path) -> None:
     places = [
         ((0.5, 0.1, 0.1), (-0.12, -0.1, 0.5)),
         ((-0.5, 0.2, -0.2), (-0.08, -0.16, 0.5)),
@@ -43,7 +51,7 @@ def test_calibrate(board_scene: Callable, tmp_path: Path) -> None:
         photos.append(tmp_path / f"{i}.png")
         cv2.imwrite(str(photos[-1]), board_scene(Board(5, 7, 0.04, 0.02), *place, seed=i))
     output = tmp_path / "camera.json"
-    done = raden("calibrate", *photos, *BOARD, "-o", output)
+    done = process("calibrate", *photos, *BOARD, "-o", output)
     assert done.returncode == 0, done.stderr
     assert "3.png: 24 corners" in done.stdout
     result = json.loads(output.read_text())
@@ -52,15 +60,17 @@ def test_calibrate(board_scene: Callable, tmp_path: Path) -> None:
     assert len(result["poses"]) == 4
     assert cv2.imread(str(tmp_path / "camera.png")).shape[1] == 1280
     # and the next step reads it
-    again = raden("calibrate", photos[0], *BOARD, "--camera", output, "-o", tmp_path / "pose.json")
+    again = capture(
+        "calibrate", photos[0], *BOARD, "--camera", output, "-o", tmp_path / "pose.json"
+    )
     assert again.returncode == 0, again.stderr
     pose = json.loads((tmp_path / "pose.json").read_text())["poses"][0]
     np.testing.assert_allclose(pose["translation_board_to_camera_m"], places[0][1], atol=0.006)
 
 
-def test_calibrate_without_boards(tmp_path: Path) -> None:
+def test_calibrate_without_boards(capture: Command, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.full((200, 300, 3), 90, np.uint8))
-    done = raden("calibrate", tmp_path / "a.png", *BOARD, "-o", tmp_path / "c.json")
+    done = capture("calibrate", tmp_path / "a.png", *BOARD, "-o", tmp_path / "c.json")
     assert done.returncode == 2
     assert "photographs that show the board: expected at least 3, got 0 of 1" in done.stderr
     assert "a.png: expected a 5 x 7 board" in done.stderr
@@ -73,7 +83,7 @@ def test_colour(chart_scene: Callable, tmp_path: Path) -> None:
     linear = np.clip(np.rint(scene.linear * 65535), 0, 65535).astype(np.uint16)
     cv2.imwrite(str(tmp_path / "a.tiff"), linear[..., ::-1])
     output = tmp_path / "colour.json"
-    done = raden("colour", tmp_path / "a.tiff", "--coded", "linear", "-o", output)
+    done = process("colour", tmp_path / "a.tiff", "--coded", "linear", "-o", output)
     assert done.returncode == 0, done.stderr
     assert "the chart is mirrored" in done.stdout
     result = json.loads(output.read_text())
@@ -86,7 +96,9 @@ def test_colour(chart_scene: Callable, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_colour_of_a_stack_of_mosaics(chart_scene: Callable, tmp_path: Path) -> None:
+def test_colour_of_a_stack_of_mosaics(
+    capture: Command, chart_scene: Callable, tmp_path: Path
+) -> None:
     """No pattern is stated: the greens are found in the mosaic, red and blue by the chart."""
     scene = chart_scene(noise=0.0, exposure=1.0)
     masks = colour_masks("BGGR", *scene.linear.shape[:2])
@@ -99,7 +111,7 @@ def test_colour_of_a_stack_of_mosaics(chart_scene: Callable, tmp_path: Path) -> 
         files.append(tmp_path / f"{seconds}.tiff")
         cv2.imwrite(str(files[-1]), stored)
         times += ["--exposure", seconds]
-    done = raden("colour", *files, *times, "-o", tmp_path / "colour.json")
+    done = capture("colour", *files, *times, "-o", tmp_path / "colour.json")
     assert done.returncode == 0, done.stderr
     assert "Bayer pattern BGGR" in done.stdout
     assert "median deviation" in done.stdout
@@ -108,9 +120,9 @@ def test_colour_of_a_stack_of_mosaics(chart_scene: Callable, tmp_path: Path) -> 
         capture_colour(files, tmp_path / "c.json", development=Development(pattern="BGGR"))
 
 
-def test_colour_without_a_chart(tmp_path: Path) -> None:
+def test_colour_without_a_chart(capture: Command, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "a.png"), np.full((200, 300, 3), 90, np.uint8))
-    done = raden("colour", tmp_path / "a.png", "-o", tmp_path / "c.json")
+    done = capture("colour", tmp_path / "a.png", "-o", tmp_path / "c.json")
     assert done.returncode == 2
     assert "a.png: expected a ColorChecker Classic" in done.stderr
     cv2.imwrite(str(tmp_path / "b.jpg"), np.full((200, 300, 3), 255, np.uint8))

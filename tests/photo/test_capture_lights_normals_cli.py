@@ -7,6 +7,7 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -17,13 +18,20 @@ from raden_torch.brdf.files.image_file import read_normal_map
 from raden_torch.capture.photo.capture_normals import capture_normals
 from raden_torch.errors import InputError
 
+Command = Callable[..., subprocess.CompletedProcess[str]]
 
-def raden(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+
+@pytest.fixture(scope="session")
+def showing(raden: Command) -> Command:
+    """The command with its warnings shown."""
+    return lambda *arguments: raden(*arguments, warn="default")
+
+
+def process(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-W", "default", "-m", "raden_torch.cli", *map(str, arguments)],
         capture_output=True,
         text=True,
-        cwd=cwd,
         timeout=300,
     )
 
@@ -36,7 +44,7 @@ def photos(shared: Path, name: str) -> list[Path]:
 def lights(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("capture") / "lights.json"
     mask = shared / "data/photometric_stereo/chrome.mask.png"
-    done = raden(
+    done = process(
         *("capture", "lights", *photos(shared, "chrome"), "--mask", mask),
         *("--coded", "linear", "-o", path),
     )
@@ -47,12 +55,14 @@ def lights(shared: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_photographs_to_a_relit_picture(shared: Path, lights: Path, tmp_path: Path) -> None:
+def test_photographs_to_a_relit_picture(
+    showing: Command, shared: Path, lights: Path, tmp_path: Path
+) -> None:
     import raden_torch as rt
 
     folder = shared / "data/photometric_stereo"
     mask = folder / "buddha.mask.png"
-    done = raden(
+    done = process(
         *("capture", "normals", *photos(shared, "buddha"), "--lights", lights),
         *("--mask", mask, "--coded", "linear", "-o", tmp_path / "b"),
     )
@@ -71,20 +81,22 @@ def test_photographs_to_a_relit_picture(shared: Path, lights: Path, tmp_path: Pa
     maps = ("--normals", tmp_path / "b/normals.png", "--mask", mask, "--model", model, "--linear")
     original = ("--original-light", tmp_path / "b/normals.json")
     sheet = tmp_path / "sheet.png"
-    done = raden("relight", folder / "buddha.3.png", *maps, *original, "--sheet", 12, "-o", sheet)
+    done = process("relight", folder / "buddha.3.png", *maps, *original, "--sheet", 12, "-o", sheet)
     assert done.returncode == 0, done.stderr
     height, width = cv2.imread(str(sheet)).shape[:2]
     assert height % 3 == 0
     assert width % 4 == 0
     assert cv2.imread(str(sheet)).mean() > 20
-    done = raden("relight", folder / "gray.3.png", *maps, *original, "-o", tmp_path / "no.png")
+    done = showing("relight", folder / "gray.3.png", *maps, *original, "-o", tmp_path / "no.png")
     assert done.returncode == 2
     assert "gray.3.png is none of its photographs" in done.stderr
 
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*photograph 1, but lamp 1")
-def test_what_a_person_may_do_wrong(shared: Path, lights: Path, tmp_path: Path) -> None:
+def test_what_a_person_may_do_wrong(
+    showing: Command, shared: Path, lights: Path, tmp_path: Path
+) -> None:
     folder = shared / "data/photometric_stereo"
     grey = photos(shared, "gray")
     mask = ("--mask", folder / "gray.mask.png", "--coded", "linear", "-o", tmp_path / "out")
@@ -103,13 +115,13 @@ def test_what_a_person_may_do_wrong(shared: Path, lights: Path, tmp_path: Path) 
     for given, message in cases:
         with pytest.raises(InputError, match=message):
             capture_normals(given, lights, folder / "gray.mask.png", coded="linear")
-    done = raden("capture", "normals", *cases[0][0], "--lights", lights, *mask)
+    done = showing("capture", "normals", *cases[0][0], "--lights", lights, *mask)
     assert done.returncode == 2
     assert cases[0][1] in done.stderr
     assert not (tmp_path / "out").exists()
     stand = tmp_path / "stand.png"
     shutil.copy(folder / "buddha.mask.png", stand)
-    done = raden(
+    done = showing(
         *("capture", "lights", *photos(shared, "chrome")[:3], "--mask", stand),
         *("-o", tmp_path / "l.json"),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,30 +28,27 @@ NOT_BEHIND_DEG = 60.0
 
 
 @pytest.fixture(scope="module")
-def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def photographs(
+    raden: Callable[..., subprocess.CompletedProcess[str]],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
     """A folder of simulated photographs, and in it what each step of `raden capture` wrote."""
     pytest.importorskip("mitsuba", reason="Mitsuba, the extra `simulate`, is not installed")
     folder = tmp_path_factory.mktemp("simulated") / "set"
     for command in simulate_photographs(folder, OPTIONS):
-        raden(folder, command)
+        done = raden(*words_of(command, folder), cwd=folder, warn="default")
+        assert done.returncode == 0, f"{command}\n{done.stderr}"
     return folder
 
 
-def raden(folder: Path, command: str) -> None:
-    """A line as `raden capture simulate` prints it, its patterns expanded as a shell does."""
+def words_of(command: str, folder: Path) -> list[str]:
+    """Of a line as `raden capture simulate` prints it, its patterns expanded as a shell does."""
     words: list[str] = []
     for word in shlex.split(command.removeprefix("raden ")):
         quoted = f"'{word}'" in command
         found = sorted(p.name for p in folder.glob(word)) if "?" in word or "*" in word else []
         words += [word] if quoted or not found else found
-    done = subprocess.run(
-        [sys.executable, "-m", "raden_torch.cli", *words],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, f"{command}\n{done.stderr}"
+    return words
 
 
 def truth(folder: Path) -> dict[str, Any]:

@@ -282,7 +282,7 @@ def test_bad_options(mi: Any, tmp_path: Path, options: dict[str, Any], message: 
 def test_a_folder_with_something_in_it_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "dear.txt").write_text("keep")
     command = [sys.executable, "-m", "raden_torch.cli", "capture", "simulate", "-o", tmp_path]
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=120)
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=300)
     assert done.returncode == 2
     assert "not empty" in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1

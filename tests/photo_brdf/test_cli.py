@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ import pytest
 from raden_torch.capture.importers import load_measurement
 from raden_torch.capture.photo.brdf.chart_white import chart_white
 
+Command = Callable[..., subprocess.CompletedProcess[str]]
 
-def raden(*arguments: object) -> subprocess.CompletedProcess[str]:
+
+def process(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "raden_torch.cli", *map(str, arguments)],
         capture_output=True,
@@ -46,7 +49,7 @@ def test_the_command_and_its_files(sphere: Any, tmp_path: Path) -> None:
         stacks += [path, short]
     colour = colour_file(tmp_path / "colour.json", to_xyz)
     out = tmp_path / "shell.csv"
-    done = raden(
+    done = process(
         *("capture", "brdf", *stacks, "--stack", 2, "--exposure", 0.4, "--exposure", 0.1),
         *("--shape", "sphere", "--mask", series.mask, "--lights", series.lights),
         *("--colour", colour, "--white-mask", series.white, "--white-factor", 90),
@@ -71,7 +74,7 @@ def test_the_command_and_its_files(sphere: Any, tmp_path: Path) -> None:
     assert min(cv2.imread(str(out.with_suffix(".png"))).shape[:2]) > 500
 
 
-def test_what_is_wrong_is_one_line_and_no_file(sphere: Any, tmp_path: Path) -> None:
+def test_what_is_wrong_is_one_line_and_no_file(raden: Command, sphere: Any, tmp_path: Path) -> None:
     series = sphere.series(4, radius=40.0)
     out = tmp_path / "shell.csv"
     done = raden(
