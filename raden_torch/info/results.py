@@ -194,7 +194,7 @@ def _parsed(path: Path) -> dict[str, Any]:
     if size > _MAX_BYTES:
         raise InputError(f"{path}: {size / 1e6:.0f} MB; at most {_MAX_BYTES / 1e6:g} are read")
     try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: truncated or damaged: not JSON ({error})") from None
     return found

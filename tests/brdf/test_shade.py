@@ -153,7 +153,7 @@ BAD_BUFFERS = {
     "position without camera": (lambda n: rt.GBuffer(n, position=n), "position and camera"),
     "unbatched normal": (lambda n: rt.GBuffer(n[0], view=(0, 0, 1)), r"\[B, 3, H, W\]"),
     "no tensor": (lambda n: rt.GBuffer("n", view=(0, 0, 1)), "str"),
-    "two numbers": (lambda n: rt.GBuffer(n, view=(0, 1)), r"view: shape \[2\]"),
+    "two numbers": (lambda n: rt.GBuffer(n, view=(0, 1)), r"view has shape \[2\]"),
     "other size": (lambda n: rt.GBuffer(n, view=torch.ones(1, 3, 9, 9)), "do not broadcast"),
     "mask of another size": (
         lambda n: rt.GBuffer(n, view=(0, 0, 1), mask=torch.ones(1, 1, 9, 9)),
