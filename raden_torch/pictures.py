@@ -302,12 +302,14 @@ def _original_lamp(
     """The lamp that a photograph was taken under."""
     if not isinstance(original, Path):
         return DirectionalLight(original)
-    from raden_torch.capture.photo.result_file import read_result
+    from raden_torch.capture.photo.result_file import numbers, read_result
 
-    found = read_result(original, "normals", ("lamps",))
-    for lamp in found["lamps"]:
+    lamps = read_result(original, "normals", ("lamps",))["lamps"]
+    is_list = isinstance(lamps, list) and all(isinstance(lamp, dict) for lamp in lamps)
+    for lamp in lamps if is_list else ():
         if lamp.get("photograph") == photograph.name:
-            return DirectionalLight(lamp["direction_to_lamp"])
+            direction = numbers(original, lamp, "direction_to_lamp", (3,))
+            return DirectionalLight(direction.tolist())
     raise InputError(
         f"{original}: {photograph.name} is none of its photographs; give the lamp as x,y,z"
     )

@@ -45,7 +45,7 @@ def plate(
     Args: as for `sphere`; the camera stands above the plate (z > 0.5).
     """
     check_rays("plate", size, samples)
-    eye = torch.tensor(camera, dtype=torch.float64)
+    eye = torch.tensor(camera, dtype=torch.float64, device="cpu")
     if not float(eye[2]) > 0.5:
         raise InputError(f"plate: camera: expected z > 0.5, above the plate, got {camera}")
     half_width = 1.08 * margin / float(eye.norm())

@@ -115,7 +115,10 @@ def model_of(graph: onnx.ModelProto) -> RadenBrdf:
         return assemble(about, tensors)
     except InputError:
         raise
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (
+        *(KeyError, TypeError, ValueError, AttributeError),
+        *(OverflowError, RecursionError),
+    ) as error:
         raise InputError(f"the model inside is damaged: {_first_line(error)}") from None
 
 

@@ -63,7 +63,12 @@ def onnx_session(data: bytes, threads: int = 0) -> Any:
     options.log_severity_level = 3
     options.intra_op_num_threads = threads
     try:
-        return ort.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        return ort.InferenceSession(
+            data,
+            options,
+            providers=["CPUExecutionProvider"],
+            enable_fallback=False,  # which prints, and tries the same again
+        )
     except Exception as error:  # its errors share no base class but this one
         raise InputError(f"onnxruntime {ort.__version__} cannot load it: {one_line(error)}") from (
             None

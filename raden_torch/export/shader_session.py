@@ -47,8 +47,11 @@ class ShaderSession:
             raise InputError(f"ShaderSession: tile: expected at least 1 pixel, got {tile}")
         data = file if isinstance(file, bytes) else _read(Path(file))
         self._session = onnx_session(_fixed(data), threads=1)
-        required = self._session.get_inputs()
-        optional = self._session.get_overridable_initializers()
+        try:
+            required = self._session.get_inputs()
+            optional = self._session.get_overridable_initializers()
+        except UnicodeDecodeError:
+            raise InputError("ShaderSession: cannot load it: names that are not UTF-8") from None
         self._shapes = {i.name: tuple(i.shape) for i in (*required, *optional)}
         self._required = {i.name for i in required}
         if "normal" not in self._required:
@@ -198,10 +201,9 @@ def _fixed(data: bytes) -> bytes:
     import onnx
 
     try:
-        graph = onnx.load_from_string(data)
+        return fix_parameters(onnx.load_from_string(data)).SerializeToString()
     except Exception as error:  # protobuf's errors share no base class but this one
         raise InputError(f"ShaderSession: cannot load it: {one_line(error)}") from None
-    return fix_parameters(graph).SerializeToString()
 
 
 def _read(path: Path) -> bytes:

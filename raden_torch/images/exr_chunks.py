@@ -258,7 +258,9 @@ def _chunk_count(part: Chunks) -> int:
 def _attributes(file: BinaryIO) -> Iterable[Attribute]:
     while name := _text(file):
         kind = _text(file)
-        yield name, kind, file.read(int.from_bytes(file.read(4), "little"))
+        size = int.from_bytes(file.read(4), "little")
+        left = os.fstat(file.fileno()).st_size - file.tell()
+        yield name, kind, file.read(min(size, left))
 
 
 def _text(file: BinaryIO) -> bytes:

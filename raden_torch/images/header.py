@@ -114,7 +114,14 @@ def _by_pillow(path: str | os.PathLike[str], start: bytes) -> Header:
             depth = _ppm_levels(image) if name == "PPM" else 255
     except Image.DecompressionBombError:
         raise InputError(f"{path}: expected at most {MAX_PIXELS} pixels, got more") from None
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError, struct.error) as error:
+    except (
+        MemoryError,
+        UnidentifiedImageError,
+        OSError,
+        SyntaxError,
+        ValueError,
+        struct.error,
+    ) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(

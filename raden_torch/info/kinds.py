@@ -67,7 +67,10 @@ def describe_file(path: str | os.PathLike[str]) -> str:
     except InputError as error:
         named = str(path) in str(error)
         raise InputError(str(error) if named else f"{path}: {error}") from None
-    except (AttributeError, IndexError, KeyError, TypeError, ValueError) as error:
+    except (
+        *(AttributeError, IndexError, KeyError, TypeError, ValueError),
+        *(OverflowError, RecursionError),
+    ) as error:
         raise InputError(
             f"{path}: expected {kind.name} as raden writes it, got other content "
             f"({type(error).__name__}: {error})"

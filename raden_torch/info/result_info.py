@@ -196,7 +196,7 @@ def _parsed(path: Path) -> dict[str, Any]:
             f"{path}: expected at most {_MAX_BYTES / 1e6:g} MB, got {size / 1e6:.0f} MB"
         )
     try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8-sig"))
     except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: expected JSON, got a truncated or damaged file ({error})"

@@ -362,4 +362,4 @@ def _bands(file: ExrRows, memory: int | None) -> list[tuple[int, int]]:
 
 
 def _as_view(view: Tensor | Sequence[float]) -> Tensor:
-    return torch.as_tensor(view, dtype=torch.float32)
+    return torch.as_tensor(view, dtype=torch.float32, device="cpu")

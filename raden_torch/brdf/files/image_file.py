@@ -18,6 +18,7 @@ from raden_torch.brdf.files.normal_axes import Green, NormalAxes
 from raden_torch.brdf.files.normal_check import warn_of_normals
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.errors import InputError
+from raden_torch.geometry import normalised
 from raden_torch.images.colour_space import (
     SRGB_SPACE,
     colour_space_of,
@@ -268,7 +269,7 @@ def read_normal_map(
         step = 2 / levels if levels else 1e-3
         warn_of_normals(path, stored, axes, is_coded=is_coded, step=step)
         normal = axes.of_map(stored)
-    return torch.nn.functional.normalize(normal, dim=1)
+    return normalised(normal)
 
 
 def _masked_normals(gbuffer: GBuffer) -> Tensor:

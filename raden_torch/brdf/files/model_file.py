@@ -74,7 +74,7 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
     try:
         tensors = load(path.read_bytes())
         model = assemble(about, tensors)
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+    except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(f"{path}: a raden_torch model with wrong content: {reason}") from None
     for name, value in model.named_parameters():
@@ -96,7 +96,7 @@ def _read_about(path: Path) -> dict[str, Any]:
             header = json.loads(file.read(length))
     except OSError as error:
         raise InputError(f"{path}: expected a model file, got an error: {error.strerror}") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(ours) from None
@@ -106,7 +106,7 @@ def _read_about(path: Path) -> dict[str, Any]:
     try:
         about = json.loads(metadata["about"])
         version = int(about["version"])
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
         raise InputError(f"{path}: a raden_torch model with damaged metadata") from None
     if version > VERSION:
         raise InputError(

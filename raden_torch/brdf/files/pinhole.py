@@ -43,7 +43,7 @@ def pinhole_matrix(
         )
     if intrinsics is None:
         return None
-    matrix = torch.as_tensor(intrinsics, dtype=torch.float32)
+    matrix = torch.as_tensor(intrinsics, dtype=torch.float32, device="cpu")
     usable = matrix.shape == (3, 3) and bool(torch.isfinite(matrix).all())
     if not usable or float(matrix[0, 0]) <= 0 or float(matrix[1, 1]) <= 0:
         raise InputError(
@@ -55,8 +55,8 @@ def pinhole_matrix(
 
 def rays(matrix: Tensor, top: int, bottom: int, width: int) -> Tensor:
     """`[1, 3, rows, W]` from the camera through each pixel, with −1 along z (y up)."""
-    inverse = torch.linalg.inv(matrix.double()) * torch.tensor(Y_UP).double()[:, None]
+    inverse = torch.linalg.inv(matrix.double()) * matrix.new_tensor(Y_UP).double()[:, None]
     u, v, one = inverse[:, :, None, None].unbind(1)
-    across = u * torch.arange(width, dtype=torch.float64) + one
-    down = v * torch.arange(top, bottom, dtype=torch.float64)[:, None]
+    across = u * torch.arange(width, dtype=torch.float64, device=matrix.device) + one
+    down = v * torch.arange(top, bottom, dtype=torch.float64, device=matrix.device)[:, None]
     return torch.stack([(a + d).float() for a, d in zip(across, down, strict=True)])[None]

@@ -98,7 +98,8 @@ def _node_angles(table: Tabulated) -> Floats:
 
 def _diffuse_part(parameters: DiffuseParameters) -> CosineDiffuse:
     scale, exponent = (
-        torch.tensor(v, dtype=torch.float32) for v in (parameters.scale, parameters.exponent)
+        torch.tensor(v, dtype=torch.float32, device="cpu")
+        for v in (parameters.scale, parameters.exponent)
     )
     return CosineDiffuse(scale, exponent)
 

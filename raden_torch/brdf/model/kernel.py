@@ -33,6 +33,9 @@ PRECISIONS = (torch.float32, torch.float16, torch.bfloat16)
 LARGEST_TABLE = 2**24
 """Nodes: the kernel counts them in single precision, which is exact up to here."""
 
+_CPU = torch.device("cpu")
+"""Said wherever a tensor is made: the default device may be another."""
+
 LARGEST_SUMS = 2**28
 """Bytes of table gradients, one for each thread, that a backward pass may take."""
 
@@ -79,7 +82,7 @@ def look_up(sphere: LitSphere, normal: Tensor, mask: Tensor | None) -> Tensor:
         normal, mask: `[B, 3, H, W]` and `[B or 1, 1, H or 1, W or 1]` on the CPU.
     """
     b, _, h, w = normal.shape
-    image = torch.empty(normal.shape, dtype=torch.float32)
+    image = torch.empty(normal.shape, dtype=torch.float32, device=_CPU)
     maps = [None if m is None else m.float().expand(b, -1, h, w) for m in (normal, mask)]
     if image.numel() > 0:
         _kernel.look_up(
@@ -153,7 +156,7 @@ def _arguments(model: RadenBrdf) -> tuple[Any, ...]:
 @torch.library.impl("raden_torch::brdf", "CPU")
 def _brdf(normal: Tensor, light: Tensor, view: Tensor, *model: Any) -> Tensor:
     maps = torch.broadcast_tensors(normal.float(), light.float(), view.float())
-    image = torch.empty(maps[0].shape, dtype=torch.float32)
+    image = torch.empty(maps[0].shape, dtype=torch.float32, device=_CPU)
     if image.numel() == 0:
         return image
     maps = [_four_dimensions(m) for m in maps]
@@ -176,7 +179,7 @@ def _shade(*arguments: Any) -> Tensor:
     (normal, view, position, camera, mask, lights), model = arguments[:_MAPS], arguments[_MAPS:]
     b, h, w = _image_size(*arguments[:_MAPS])
     size = (b, 3, h, w)
-    image = torch.empty(size, dtype=torch.float32)
+    image = torch.empty(size, dtype=torch.float32, device=_CPU)
     if image.numel() == 0:
         return image
     maps = [
@@ -268,15 +271,17 @@ def _brdf_backward(gradient: Tensor, *arguments: Any) -> list[Tensor]:
     shape = gradient.shape
     broadcast = [_four_dimensions(m.float().expand(shape)) for m in (gradient, *inputs[:3])]
     b, _, h, w = broadcast[0].shape
-    full = [torch.zeros(shape if want else 0, dtype=torch.float32) for want in wanted[:3]]
+    full = [
+        torch.zeros(shape if want else 0, dtype=torch.float32, device=_CPU) for want in wanted[:3]
+    ]
     held, packed = _packed(*inputs[3:])
     table = inputs[_TABLE]
     sums = table is not None and wanted[3]
     slices = max(1, min(torch.get_num_threads(), b * h * w // 4096))
     if sums:
         slices = max(1, min(slices, LARGEST_SUMS // (4 * table.numel())))
-    tables = torch.zeros((slices, *table.shape) if sums else 0, dtype=torch.float32)
-    body = torch.zeros(slices, 2, 3, dtype=torch.float64)
+    tables = torch.zeros((slices, *table.shape) if sums else 0, dtype=torch.float32, device=_CPU)
+    body = torch.zeros(slices, 2, 3, dtype=torch.float64, device=_CPU)
     if gradient.numel() > 0:
         _kernel.differentiate(
             packed,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -12,7 +13,7 @@ from raden_torch import geometry
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.diffuse import diffuse
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 
 
 class CosineDiffuse(nn.Module):
@@ -59,9 +60,12 @@ class RadenBrdf(nn.Module):
     (`diffuse.scale`, `diffuse.exponent`). Either part may be None: it then costs nothing.
 
     Attributes:
-        diffuse_gain, specular_gain: I_d and I_s of eq. (2), plain numbers that may be set.
+        diffuse_gain, specular_gain: I_d and I_s of eq. (2), finite numbers that may be set.
         provenance: what the model was fitted to.
     """
+
+    diffuse_gain: float | Tensor
+    specular_gain: float | Tensor
 
     def __init__(
         self,
@@ -78,6 +82,11 @@ class RadenBrdf(nn.Module):
         self.diffuse_gain = diffuse_gain
         self.specular_gain = specular_gain
         self.provenance = provenance or Provenance()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in ("diffuse_gain", "specular_gain"):
+            value = _gain(name, value)
+        super().__setattr__(name, value)
 
     def forward(self, normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
         """f_r of each pixel.
@@ -133,9 +142,12 @@ class RadenBrdf(nn.Module):
         With 0 ≤ w ≤ 1 and the diffuse part within 0…S, eq. (2) lies within
         |I_s| max|table| + max(|I_d|, |I_d − I_s|) S.
         """
-        specular, body = (torch.as_tensor(g) for g in (self.specular_gain, self.diffuse_gain))
+        like = next(self.parameters(), torch.zeros((), device="cpu"))
+        specular, body = (
+            torch.as_tensor(g, device=like.device) for g in (self.specular_gain, self.diffuse_gain)
+        )
         share = body.abs()
-        bound = torch.zeros(3)
+        bound = torch.zeros(3, device=like.device)
         if self.table is not None:
             bound = specular.abs() * self.table.values.detach().abs().amax((0, 1, 2))
             share = torch.maximum(share, (body - specular).abs())
@@ -160,3 +172,13 @@ class RadenBrdf(nn.Module):
             f"{kind}{self.provenance.sample!r}, diffuse_gain={self.diffuse_gain}, "
             f"specular_gain={self.specular_gain}"
         )
+
+
+def _gain(name: str, value: float | Tensor) -> float | Tensor:
+    """A tensor, as an exported graph has it, or a number that single precision holds."""
+    if isinstance(value, Tensor):
+        return value
+    check_type(name, value, (float, int, np.floating))
+    if not abs(value) <= torch.finfo(torch.float32).max:
+        raise InputError(f"{name}: expected a finite number, got {value}")
+    return float(value)

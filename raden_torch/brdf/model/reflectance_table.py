@@ -22,6 +22,8 @@ from raden_torch.geometry import XYZ_DIM
 Pieces = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 """Per axis, into how many pieces each measured cell is cut."""
 
+_LEAST_STEP_DEG = 1e-3
+
 
 class ReflectanceTable(nn.Module):
     """Total f_r (diffuse and specular) over incidence, receiving and tilt.
@@ -50,8 +52,10 @@ class ReflectanceTable(nn.Module):
                 "table: expected shape [X, Y, Z, C] with at least two nodes on each axis, got "
                 f"{list(values.shape)}"
             )
-        if min(step_deg) <= 0:
+        if not all(_LEAST_STEP_DEG <= step <= 180 for step in step_deg):
             raise InputError(f"table: step_deg: expected positive steps, got {step_deg}")
+        if not all(abs(first) <= 180 for first in first_deg):
+            raise InputError(f"table: expected first_deg within ±180, got {first_deg}")
         self.values = nn.Parameter(values)
         self.first_deg = first_deg
         self.step_deg = step_deg
@@ -62,7 +66,7 @@ class ReflectanceTable(nn.Module):
                     f"table: axis {k}: expected {1 + sum(cuts)} nodes for its pieces, got "
                     f"{values.shape[k]}"
                 )
-            self.register_buffer(f"_cuts_{k}", _cuts(cuts), persistent=False)
+            self.register_buffer(f"_cuts_{k}", _cuts(cuts, values.device), persistent=False)
         if pieces is not None and len(pieces[1]) <= len(pieces[0]):
             raise InputError(
                 "table: expected more cells along r − a than along a in a baked table, got fewer"
@@ -136,9 +140,9 @@ class ReflectanceTable(nn.Module):
         return text if self.pieces is None else f"{text}, baked along r − a"
 
 
-def _cuts(pieces: Sequence[int]) -> Tensor:
+def _cuts(pieces: Sequence[int], device: torch.device) -> Tensor:
     """`[cells, 2]`: the first node of each cell, and its pieces."""
-    n = torch.tensor(pieces, dtype=torch.float32)
+    n = torch.tensor(pieces, dtype=torch.float32, device=device)
     return torch.stack([n.cumsum(0) - n, n], dim=1)
 
 

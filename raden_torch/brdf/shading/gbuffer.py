@@ -10,7 +10,7 @@ from torch import Tensor
 
 from raden_torch import geometry
 from raden_torch.brdf.shading.depth import depth_kind, in_front, to_planar
-from raden_torch.brdf.shading.lights import Triple, as_map
+from raden_torch.brdf.shading.lights import Triple, as_map, checked
 from raden_torch.errors import InputError
 
 
@@ -46,7 +46,7 @@ class GBuffer:
         view = self.view
         if view is None and (self.position is None or self.camera is None):
             raise InputError("GBuffer: give view, or position and camera")
-        if (isinstance(view, Tensor) and view.ndim <= 2) or isinstance(view, (tuple, list)):
+        if view is not None and getattr(view, "ndim", 1) <= 2:
             object.__setattr__(self, "view", _triple("view", view, self.normal))
         if self.camera is not None:
             _triple("camera", self.camera, self.normal)
@@ -154,7 +154,8 @@ def coverage(mask: Tensor) -> Tensor:
 
 
 def _triple(name: str, value: Triple, like: Tensor) -> Tensor:
-    tensor = torch.as_tensor(value)
-    if tensor.shape[-1:] != (3,) or tensor.ndim not in (1, 2):
-        raise InputError(f"GBuffer {name}: expected shape [3] or [B, 3], got {list(tensor.shape)}")
-    return as_map(tensor, like)
+    tensor = checked(f"GBuffer {name}", value)
+    is_traced = torch.compiler.is_compiling()
+    if name == "view" and not is_traced and (tensor == 0).all(dim=-1).any():
+        raise InputError("GBuffer view: expected a direction towards the viewer, got zero")
+    return as_map(value, like)

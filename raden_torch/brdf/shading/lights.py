@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -103,8 +105,15 @@ Light = KernelLight
 
 def as_map(value: Colour, like: Tensor) -> Tensor:
     """One number, `[3]` or `[B, 3]` → `[1 or B, 3, 1, 1]`, as `like` is."""
-    tensor = torch.as_tensor(value, dtype=like.dtype, device=like.device)
+    tensor = torch.as_tensor(_own(value), dtype=like.dtype, device=like.device)
     return (tensor.expand(3) if tensor.ndim == 0 else tensor).reshape(-1, 3, 1, 1)
+
+
+def _own(value: Any) -> Any:
+    """NumPy's arrays as torch takes them: of any dtype, reversed, read-only."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return torch.from_numpy(np.array(value, np.float64))
+    return value
 
 
 def packed(
@@ -175,15 +184,38 @@ def _needed(position: Tensor | None, light: object) -> Tensor:
 def _check(light: object, **triples: Colour) -> None:
     for name, value in triples.items():
         where = f"{type(light).__name__}: {name}"
-        try:
-            tensor = torch.as_tensor(value, dtype=torch.float64)
-        except (TypeError, ValueError, RuntimeError):
-            raise InputError(f"{where}: expected three numbers, got {value!r}") from None
-        if tensor.ndim == 0 and name in ("irradiance", "intensity"):
-            tensor = tensor.expand(3)
-        if tensor.ndim not in (1, 2) or tensor.shape[-1] != 3:
-            raise InputError(f"{where}: expected shape [3] or [B, 3], got {list(tensor.shape)}")
-        if not torch.isfinite(tensor).all():
-            raise InputError(f"{where}: expected three finite numbers, got {value!r}")
-        if name == "direction" and (tensor == 0).all(dim=-1).any():
+        tensor = checked(where, value, may_be_one=name in ("irradiance", "intensity"))
+        if name != "direction":
+            continue
+        if (tensor == 0).all(dim=-1).any():
             raise InputError(f"{where}: expected a direction towards the light, got zero")
+        single = tensor.abs().amax(dim=-1).float()
+        if (single == 0).any() or torch.isinf(single).any():
+            raise InputError(
+                f"{where}: expected numbers that single precision holds, got {value!r}; "
+                "its length does not count"
+            )
+
+
+def checked(where: str, value: Colour, *, may_be_one: bool = False) -> Tensor:
+    """A `Triple` as a tensor in double precision on the CPU.
+
+    Args:
+        where: what it is, for messages.
+        may_be_one: one number stands for three.
+
+    Raises:
+        InputError: other shapes, or numbers that are not finite.
+    """
+    try:
+        tensor = torch.as_tensor(_own(value), dtype=torch.float64, device="cpu")
+    except (TypeError, ValueError, OverflowError, RuntimeError):
+        raise InputError(f"{where}: expected three numbers, got {value!r}") from None
+    if tensor.ndim == 0 and may_be_one:
+        tensor = tensor.expand(3)
+    if tensor.ndim not in (1, 2) or tensor.shape[-1] != 3:
+        raise InputError(f"{where}: expected shape [3] or [B, 3], got {list(tensor.shape)}")
+    # a graph that is traced knows no values
+    if not torch.compiler.is_compiling() and not torch.isfinite(tensor).all():
+        raise InputError(f"{where}: expected three finite numbers, got {value!r}")
+    return tensor

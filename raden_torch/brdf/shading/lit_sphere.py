@@ -98,5 +98,5 @@ def _normals(side: int, frame: Tensor) -> Tensor:
 def _rows(image: Tensor) -> Tensor:
     """`[1, 3, S, S]` → `[S, S, 3]` in one piece, with room behind it."""
     rows = image[0].movedim(0, -1)
-    room = torch.zeros(rows.numel() + _PADDING, dtype=torch.float32)
+    room = rows.new_zeros(rows.numel() + _PADDING, dtype=torch.float32)
     return room[: rows.numel()].view(rows.shape).copy_(rows)

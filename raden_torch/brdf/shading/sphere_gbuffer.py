@@ -29,7 +29,7 @@ def sphere(
         Maps `[1, …, size·samples, size·samples]`; the mask is 1 on the sphere.
     """
     check_rays("sphere", size, samples)
-    eye = torch.tensor(camera, dtype=torch.float64)
+    eye = torch.tensor(camera, dtype=torch.float64, device="cpu")
     distance = float(eye.norm())
     if not distance > 1.0:
         raise InputError(
@@ -42,7 +42,7 @@ def sphere(
     root = along**2 - square * (distance**2 - 1)
     hit = (root >= 0)[None]
     reach = (-along - root.clamp(min=0).sqrt()) / square
-    point = torch.where(hit, eye.view(3, 1, 1) + reach * rays, torch.zeros(3, 1, 1).double())
+    point = torch.where(hit, eye.view(3, 1, 1) + reach * rays, eye.new_zeros(3, 1, 1))
     maps = point.float()[None]
     return GBuffer(maps, position=maps, camera=camera, mask=hit.float()[None])
 
@@ -62,13 +62,13 @@ def average_samples(image: Tensor, samples: int) -> Tensor:
 def camera_rays(eye: Tensor, n: int, half_width: float) -> Tensor:
     """`[3, n, n]` rays of a pinhole camera that looks at the origin, the first row on top."""
     forward = -eye / eye.norm()
-    up = torch.tensor([0.0, 1.0, 0.0], dtype=eye.dtype)
+    up = eye.new_tensor([0.0, 1.0, 0.0])
     if float(torch.linalg.cross(forward, up).norm()) < 1e-6:
-        up = torch.tensor([0.0, 0.0, -1.0], dtype=eye.dtype)
+        up = eye.new_tensor([0.0, 0.0, -1.0])
     right = torch.linalg.cross(forward, up)
     right = right / right.norm()
     up = torch.linalg.cross(right, forward)
-    across = (2 * (torch.arange(n, dtype=eye.dtype) + 0.5) / n - 1) * half_width
+    across = (2 * (torch.arange(n, dtype=eye.dtype, device=eye.device) + 0.5) / n - 1) * half_width
     return (
         forward.view(3, 1, 1)
         + right.view(3, 1, 1) * across.view(1, 1, n)

@@ -39,7 +39,7 @@ def raden_degrees(light: Floats, view: Floats) -> tuple[Floats, Floats, Floats]:
 
     from raden_torch.geometry import raden_angles
 
-    normal = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)[:, None, None]
+    normal = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, device="cpu")[:, None, None]
     angles = raden_angles(normal, *(torch.from_numpy(v.copy())[:, None, :] for v in (light, view)))
     incidence, receiving, tilt = (
         np.round(np.rad2deg(angle.reshape(-1).numpy()), _ANGLE_DIGITS) + 0.0 for angle in angles

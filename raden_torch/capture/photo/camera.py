@@ -7,6 +7,7 @@ projection. Board: x along its rows, y down its columns, z into it, origin at it
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from raden_torch.capture.photo.result_file import numbers, read_result, write_re
 from raden_torch.errors import InputError
 
 _KIND = "camera"
+_MAX_OPENCV_BYTES = 10_000_000
 _FEWEST_VIEWS = 3
 _GOOD_RMS_PX = 1.0
 _UNCERTAIN_FOCAL = 0.02
@@ -274,7 +276,7 @@ def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
         }
     except InputError:
         raise
-    except (TypeError, KeyError, ValueError) as error:
+    except (TypeError, KeyError, ValueError, OverflowError) as error:
         raise InputError(f"{path}: its board or poses are damaged ({error!r})") from None
     return board, poses
 
@@ -294,8 +296,9 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
 
     if not Path(path).is_file():
         raise InputError(f"{path}: expected a camera file, got no such file")
+    text = _opencv_text(Path(path))
     try:
-        file = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        file = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
     except (cv2.error, SystemError):
         raise InputError(f"{path}: expected an OpenCV calibration, got another file") from None
     try:
@@ -309,7 +312,8 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
         ) from None
     finally:
         file.release()
-    if matrix is None or matrix.shape != (3, 3) or distortion is None:
+    known = matrix is not None and matrix.shape == (3, 3) and distortion is not None
+    if not known or not np.isfinite([width, height]).all():
         raise InputError(
             f"{path}: expected an OpenCV calibration, got no camera_matrix and "
             "distortion_coefficients"
@@ -319,6 +323,16 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
         np.ravel(distortion).astype(np.float64),
         (int(height), int(width)),
     )
+
+
+def _opencv_text(path: Path) -> str:
+    """The file's text, without what makes OpenCV's parser write beyond its buffers."""
+    if path.stat().st_size > _MAX_OPENCV_BYTES:
+        raise InputError(f"{path}: expected a calibration of at most {_MAX_OPENCV_BYTES} bytes")
+    text = path.read_bytes().decode("utf-8", "replace")
+    if "\0" in text or re.search(r"[\d.]{100}", text):
+        raise InputError(f"{path}: not an OpenCV file; a calibration was wanted")
+    return text
 
 
 def _solved(view: BoardView, camera: Camera) -> Pose:

@@ -182,7 +182,7 @@ def read_colour(path: str | os.PathLike[str]) -> ColourCorrection:
     """
     found = read_result(path, _KIND, ("method", "matrix"))
     method = found["method"]
-    if method not in METHODS:
+    if not isinstance(method, str) or method not in METHODS:
         raise InputError(f"{path}: method: expected one of {', '.join(METHODS)}, got {method!r}")
     terms = {1: 3, 2: 6, 3: 13}[METHODS[method]]
     return ColourCorrection(method, numbers(path, found, "matrix", (3, terms)))

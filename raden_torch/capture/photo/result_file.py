@@ -70,7 +70,7 @@ def read_result(path: str | os.PathLike[str], kind: str, keys: Collection[str]) 
         InputError: missing, not such a file, of another kind or a newer version, or a key missing.
     """
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        found = json.loads(Path(path).read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise InputError(
             f"{path}: expected a {kind} file of `raden capture`, got an error: {error.strerror}"
@@ -103,8 +103,8 @@ def numbers(
         InputError: other than finite numbers of that shape.
     """
     try:
-        array = np.asarray(found[key], np.float64)
-    except (TypeError, ValueError):
+        array = np.asarray(found.get(key), np.float64)
+    except (TypeError, ValueError, OverflowError):
         array = np.full(0, np.nan)
     fits = array.ndim == len(shape) and all(
         n in (-1, have) for n, have in zip(shape, array.shape, strict=True)

@@ -187,7 +187,7 @@ def read_journal(path: str | os.PathLike[str]) -> JournalContents:
                     contents.add(_record(record))
             except InputError as error:
                 raise InputError(f"{path}: line {number}: {error}") from None
-            except (KeyError, TypeError, ValueError) as error:
+            except (KeyError, TypeError, ValueError, OverflowError) as error:
                 raise InputError(
                     f"{path}: line {number}: {type(error).__name__} {error}; not what a scan writes"
                 ) from None
@@ -332,7 +332,7 @@ def _parsed(line: bytes) -> dict[str, Any] | None:
         return None
     try:
         record = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return None
     return record if isinstance(record, dict) else None
 

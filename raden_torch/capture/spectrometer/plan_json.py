@@ -21,6 +21,6 @@ def plan_from_json(data: Any) -> Plan:
             return FixedPlan(**cells_from_json(data))
         if kind == "adaptive":
             return AdaptivePlan.from_json(data)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(f"plan: {type(error).__name__} {error}; not what a scan wrote") from None
     raise InputError(f"plan: kind: expected fixed or adaptive, got {kind!r}")
