@@ -147,9 +147,9 @@ def test_a_plan_that_cannot_be_is_refused(options: dict, message: str) -> None:
     ("choice", "message"),
     [
         (PlanChoice("random", adaptive=True), "does not go with random"),
-        (PlanChoice(adaptive=True, white_at_each=True), "white-at-each"),
-        (PlanChoice(target=0.1), "goes with --adaptive"),
-        (PlanChoice(readings=10), "--plan random or --adaptive"),
+        (PlanChoice(adaptive=True, white_at_each=True), "`white_at_each` needs"),
+        (PlanChoice(target_error=0.1), "`target_error` goes with `adaptive`"),
+        (PlanChoice(readings=10), "`readings` goes with a random plan or `adaptive`"),
         (PlanChoice(adaptive=True, step_deg=3.0), "steps of 3 deg"),
     ],
 )

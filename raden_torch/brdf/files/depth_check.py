@@ -43,7 +43,7 @@ def warn_of_other_kind(path: object, depth: Tensor, there: Tensor, rays: Tensor)
         warnings.warn(
             f"{path}: the depth was read as planar z, but as the distance along the ray the "
             f"surface is a {shape}, to {max(misfit, 1e-6):.1g} of its size; "
-            "if so, give depth distance (--depth distance)",
+            'if so, give `depth="distance"`',
             stacklevel=6,
         )
 

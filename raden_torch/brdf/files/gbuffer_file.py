@@ -256,7 +256,7 @@ class GBufferFile:
         if not bool(there.any()) and bool((depth < 0).any()):
             raise InputError(
                 f"{self.path}: no valid pixel, the depth is below 0; if it is the z of a camera "
-                "that looks along −z, give depth negative (--depth negative)"
+                'that looks along −z, give `depth="negative"`'
             )
         if self._smooth_px <= 0:
             warn_of_steps(self.path, depth[there], cast(Tensor, self._matrix))

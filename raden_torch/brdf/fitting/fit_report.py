@@ -159,7 +159,7 @@ def _warnings(
             + (
                 ""
                 if table.assumption
-                else "; of an isotropic sample, --assume isotropic derives more"
+                else '; of an isotropic sample, `assume="isotropic"` derives more'
             )
         )
     return tuple(found)

@@ -158,7 +158,7 @@ class _Objections:
         if doubt is None:
             return
         if not self.go_on:
-            raise InputError(f"{doubt} (or go on all the same: --go-on)")
+            raise InputError(f"{doubt} (or continue anyway: `go_on`)")
         warnings.warn(doubt, stacklevel=4)
         self.notes.append(doubt)
 
