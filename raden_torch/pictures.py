@@ -309,7 +309,7 @@ def _original_lamp(
         if lamp.get("photograph") == photograph.name:
             return DirectionalLight(lamp["direction_to_lamp"])
     raise InputError(
-        f"{original}: {photograph.name} is none of its photographs; give the lamp as x,y,z"
+        f"{original}: {photograph.name} is not one of its photographs; give the lamp as x,y,z"
     )
 
 

@@ -79,7 +79,7 @@ def read_gbuffer(
             depth in half precision needs one of several pixels.
         depth: what the depth is, one of `depth.KINDS`: "planar", "distance" along the pixel's ray,
             "negative", or the renderer that wrote it. None is planar, and warns where the surface
-            speaks for another.
+            indicates another.
         xyz: the channels of the normals that hold x, y and z ("r" is the first of the three), with
             a minus where one points the other way: "r,-g,-b" for a camera with y down, z forward.
 

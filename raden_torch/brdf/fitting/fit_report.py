@@ -1,4 +1,4 @@
-"""What a fit has to say for itself."""
+"""The report of a fit: residuals, filled cells, warnings."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from raden_torch.reflectance.symmetry import reciprocity_error
 
 @dataclass(frozen=True)
 class FitReport:
-    """What a fit did, in numbers; `str` says it in words.
+    """What a fit did, in numbers; `str` gives it as text.
 
     Attributes:
         cells: nodes of the table; the next five say where they come from.

@@ -149,7 +149,7 @@ def capture_brdf(
 
 @dataclass(eq=False)
 class _Objections:
-    """What speaks against the photographs: an error, or with `go_on` a warning and a note."""
+    """Objections to the photographs: each is an error, or with `go_on` a warning and a note."""
 
     go_on: bool
     notes: list[str] = field(default_factory=list)
