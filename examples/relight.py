@@ -23,7 +23,7 @@ def read(path: str) -> np.ndarray:
 
 photo, normals = read(photo_path)[..., 2::-1], read(normals_path)  # BGR to RGB
 if photo.shape[:2] != normals.shape[:2] or normals.shape[2] != 4:
-    sys.exit(f"{normals_path}: {normals.shape}; the photograph's size with an alpha was wanted")
+    sys.exit(f"{normals_path}: expected the photograph's size and an alpha, got {normals.shape}")
 mask = normals[..., 3:]
 normal = (normals[..., 2::-1] * 2 - 1) * (mask > 0)  # 0 is no normal, and no light
 linear = np.where(photo <= 0.04045, photo / 12.92, ((photo + 0.055) / 1.055) ** 2.4)

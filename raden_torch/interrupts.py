@@ -12,7 +12,7 @@ _CLEANING_UP_S = 10.0
 
 
 class Interrupted(BaseException):
-    """Ctrl-C, or the system's wish that the process ends; `str` is the signal's name."""
+    """Ctrl-C, or a signal that asks the process to end; `str` is the signal's name."""
 
     def __init__(self, number: int) -> None:
         super().__init__(signal.Signals(number).name)

@@ -311,7 +311,7 @@ def _original_lamp(
             direction = numbers(original, lamp, "direction_to_lamp", (3,))
             return DirectionalLight(direction.tolist())
     raise InputError(
-        f"{original}: {photograph.name} is none of its photographs; give the lamp as x,y,z"
+        f"{original}: {photograph.name} is not one of its photographs; give the lamp as x,y,z"
     )
 
 

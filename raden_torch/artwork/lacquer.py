@@ -1,4 +1,4 @@
-"""Urushi: a dark base under a clear, polished coat. What raden is set in.
+"""Urushi, in which raden is set: a dark base under a clear, polished coat.
 
 Sources: the microfacet model of Walter, Marschner, Li and Torrance (2007) with the GGX
 distribution; Fresnel's equations. Index 1.53 and a brown base are usual for urushi; the roughness

@@ -18,6 +18,7 @@ try:
         simulated_photographs_command,
     )
     from raden_torch.cli.common import app
+    from raden_torch.cli.option_names import options_of, with_options
 except KeyboardInterrupt:  # while the command starts
     sys.exit(128 + signal.SIGINT)
 from raden_torch.errors import InputError
@@ -57,9 +58,14 @@ def main() -> None:
 
 
 def _print_warning(message: Warning | str, *_: object, **__: object) -> None:
-    print(f"raden: warning: {' '.join(str(message).split())}", file=sys.stderr)
+    print(f"raden: warning: {_in_options(str(message))}", file=sys.stderr)
 
 
 def _fail(message: str) -> None:
-    print(f"raden: {' '.join(message.split())}", file=sys.stderr)
+    print(f"raden: {_in_options(message)}", file=sys.stderr)
     sys.exit(2)
+
+
+def _in_options(message: str) -> str:
+    """One line, in which the library's parameters are this command's options."""
+    return with_options(" ".join(message.split()), options_of(app, sys.argv[1:]))

@@ -36,7 +36,7 @@ class SampleShape(str, Enum):
 
 
 class LampFrame(str, Enum):
-    """Beside what the lamps stand still."""
+    """The frame in which the lamps are fixed."""
 
     camera = "camera"
     board = "board"
@@ -48,82 +48,108 @@ class LampFrame(str, Enum):
 )
 def brdf(
     photos: Annotated[
-        list[Path], typer.Argument(help="of the sample under each lamp, in the lamps' order")
+        list[Path],
+        typer.Argument(help="photographs of the sample, one under each lamp, in the lamps' order"),
     ],
-    lights: Annotated[Path, typer.Option(help="what `raden capture lights` wrote")],
-    shape: Annotated[SampleShape, typer.Option(help="of the sample; a plane lies on the board")],
+    lights: Annotated[Path, typer.Option(help="lights file that `raden capture lights` wrote")],
+    shape: Annotated[
+        SampleShape, typer.Option(help="shape of the sample; a plane lies on the board")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="the .csv file to write")],
     mask: Annotated[
-        Path | None, typer.Option(help="white on the sample; a sphere is else looked for")
+        Path | None,
+        typer.Option(help="mask, white on the sample; by default a sphere is searched for"),
     ] = None,
     region: Annotated[
         str | None,
         typer.Option(help='a plane\'s corners on the board, metres, as "x,y x,y x,y"'),
     ] = None,
     radius: Annotated[
-        float | None, typer.Option(help="of a sphere or cylinder in mm; with --camera")
+        float | None,
+        typer.Option(help="radius of a sphere or cylinder in mm; needed with --camera"),
     ] = None,
     axis: Annotated[
         str | None,
-        typer.Option(help='of a cylinder that lies on the board: "x,y x,y" below it, metres'),
+        typer.Option(help='axis of a cylinder that lies on the board: "x,y x,y" below it, metres'),
     ] = None,
     camera: Annotated[
         Path | None,
-        typer.Option(help="of `raden capture calibrate`, with the board's poses; else far away"),
+        typer.Option(
+            help="camera file of `raden capture calibrate`, with the board's poses; by default the "
+            "camera is far away"
+        ),
     ] = None,
     colour: Annotated[
-        Path | None, typer.Option(help="of `raden capture colour`; else the camera's own RGB")
+        Path | None,
+        typer.Option(
+            help="colour file of `raden capture colour`; by default the camera's own RGB is used"
+        ),
     ] = None,
     white_mask: Annotated[
-        Path | None, typer.Option(help="white on the white reference in the photographs")
+        Path | None, typer.Option(help="mask, white on the white reference in the photographs")
     ] = None,
     white_region: Annotated[
-        str | None, typer.Option(help="its corners on the board, as --region")
+        str | None, typer.Option(help="the white reference's corners on the board, as for --region")
     ] = None,
     white_chart: Annotated[
-        bool, typer.Option("--white-chart", help="the white patch where --colour has the chart")
+        bool,
+        typer.Option(
+            "--white-chart", help="use the white patch of the chart that --colour was made with"
+        ),
     ] = False,
     white_factor: Annotated[
         str | None,
-        typer.Option(help="its reflectance factor, 100 a perfect diffuser: Y, or X,Y,Z"),
+        typer.Option(
+            help="reflectance factor of the white, 100 for a perfect diffuser: Y, or X,Y,Z"
+        ),
     ] = None,
     white_file: Annotated[
-        Path | None, typer.Option(help="a measurement of it (.csv), instead of --white-factor")
+        Path | None,
+        typer.Option(help="a measurement of the white (.csv), instead of --white-factor"),
     ] = None,
     white_std: Annotated[
-        float, typer.Option(help="standard uncertainty of its factor, per cent (k = 1)")
+        float, typer.Option(help="standard uncertainty of the white's factor, per cent (k = 1)")
     ] = 0.0,
     white_name: Annotated[
-        str, typer.Option(help="of the reference: measurements that name the same share its error")
+        str,
+        typer.Option(help="name of the reference: measurements that name the same share its error"),
     ] = "",
     white_normal: Annotated[
         str | None,
-        typer.Option(help="x,y,z in the camera's frame; else the board's, or to the camera"),
+        typer.Option(
+            help="the white's normal x,y,z in the camera's frame; by default the board's, or "
+            "towards the camera"
+        ),
     ] = None,
     white_at: Annotated[
-        str | None, typer.Option(help="x,y,z of a point on it; else the sample's middle")
+        str | None,
+        typer.Option(help="x,y,z of a point on the white; by default the middle of the sample"),
     ] = None,
     lamp: Annotated[
         list[int] | None,
-        typer.Option(help="number of each photograph's lamp, from 1; else in their order"),
+        typer.Option(help="number of each photograph's lamp, from 1; by default in their order"),
     ] = None,
     lamps_stand: Annotated[
         LampFrame,
-        typer.Option(help="beside the camera, or beside the board while the camera moves"),
+        typer.Option(
+            help="what the lamps are fixed to: the camera, or the board while the camera moves"
+        ),
     ] = LampFrame.camera,
     lights_seen_in: Annotated[
         str | None,
-        typer.Option(help="photograph in whose frame --lights is; with --lamps-stand board"),
+        typer.Option(help="photograph whose camera frame --lights is in; with --lamps-stand board"),
     ] = None,
     lamp_std: Annotated[
         float | None, typer.Option(help="standard deviation of the lamps' directions, degrees")
     ] = None,
     stack: Annotated[
-        int, typer.Option(help="files of each photograph, one after another: an exposure stack")
+        int, typer.Option(help="number of files per photograph, in sequence: an exposure stack")
     ] = 1,
     exposure: Annotated[
         list[float] | None,
-        typer.Option(help="seconds, for each file or for those of a stack; else from EXIF"),
+        typer.Option(
+            help="exposure time in seconds, for each file or each of a stack; by default from EXIF"
+        ),
     ] = None,
     coded: CodedOption = Coded.auto,
     pattern: PatternOption = None,
@@ -131,13 +157,17 @@ def brdf(
     dark: DarkOption = None,
     dark_exposure: DarkExposureOption = None,
     flat: FlatOption = None,
-    step: Annotated[float, typer.Option(help="of the grid, degrees")] = 5.0,
-    name: Annotated[str, typer.Option(help="of the sample")] = "",
+    step: Annotated[float, typer.Option(help="step of the grid, degrees")] = 5.0,
+    name: Annotated[str, typer.Option(help="name of the sample")] = "",
     simulated: Annotated[
-        bool, typer.Option("--simulated", help="label it: the photographs were computed")
+        bool,
+        typer.Option(
+            "--simulated", help="label the measurement as simulated: the photographs were computed"
+        ),
     ] = False,
     go_on: Annotated[
-        bool, typer.Option("--go-on", help="warn where photographs contradict each other or moved")
+        bool,
+        typer.Option("--go-on", help="only warn where photographs contradict each other or moved"),
     ] = False,
     picture: Picture = None,
 ) -> None:

@@ -21,7 +21,10 @@ capture = typer.Typer(
 app.add_typer(capture, name="capture")
 
 Picture = Annotated[
-    Path | None, typer.Option(help="of what was found; else beside the result, as .png")
+    Path | None,
+    typer.Option(
+        help="image of what was found, for checking; by default beside the result, as .png"
+    ),
 ]
 
 
@@ -50,12 +53,15 @@ class Solver(str, Enum):
 
 CodedOption = Annotated[
     Coded,
-    typer.Option(help="what stored values mean; auto: whole numbers sRGB, floats and raw linear"),
+    typer.Option(
+        help="what stored values mean; auto: whole numbers are sRGB, floats and raw are linear"
+    ),
 ]
 
 
 PatternOption = Annotated[
-    str | None, typer.Option("--pattern", help="of a raw Bayer mosaic: RGGB, BGGR, GRBG, GBRG")
+    str | None,
+    typer.Option("--pattern", help="Bayer pattern of a raw mosaic: RGGB, BGGR, GRBG, GBRG"),
 ]
 WhiteLevelOption = Annotated[
     float | None,
@@ -67,10 +73,12 @@ DarkOption = Annotated[
 ]
 DarkExposureOption = Annotated[
     list[float] | None,
-    typer.Option("--dark-exposure", help="seconds, for each dark frame; else from EXIF"),
+    typer.Option(
+        "--dark-exposure", help="exposure time in seconds of each dark frame; by default from EXIF"
+    ),
 ]
 FlatOption = Annotated[
-    Path | None, typer.Option("--flat", help="photograph of an even white sheet")
+    Path | None, typer.Option("--flat", help="flat field: photograph of an evenly lit white sheet")
 ]
 
 
@@ -84,17 +92,21 @@ def steps() -> None:
     "--marker 0.02 -o camera.json"
 )
 def calibrate(
-    photos: Annotated[list[Path], typer.Argument(help="of a ChArUco board, three or more")],
+    photos: Annotated[
+        list[Path], typer.Argument(help="three or more photographs of a ChArUco board")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="the .json file to write")],
-    squares: Annotated[str, typer.Option(help="of the board, columns x rows, as 5x7")],
+    squares: Annotated[str, typer.Option(help="squares of the board, columns x rows, as 5x7")],
     square: Annotated[float, typer.Option(help="side of a square on the print, metres")],
     marker: Annotated[float, typer.Option(help="side of a marker on the print, metres")],
     dictionary: Annotated[
-        str, typer.Option(help="of the markers, by OpenCV's name")
+        str, typer.Option(help="dictionary of the markers, by OpenCV's name")
     ] = "DICT_6X6_250",
     legacy: Annotated[
         bool | None,
-        typer.Option("--legacy/--no-legacy", help="board as before OpenCV 4.6; else found out"),
+        typer.Option(
+            "--legacy/--no-legacy", help="board as printed before OpenCV 4.6; by default detected"
+        ),
     ] = None,
     camera: Annotated[
         Path | None,
@@ -117,27 +129,32 @@ def calibrate(
 @capture.command(epilog="Example: raden capture colour chart.tif --coded linear -o colour.json")
 def colour(
     photos: Annotated[
-        list[Path], typer.Argument(help="of a ColorChecker Classic; several: an exposure stack")
+        list[Path],
+        typer.Argument(help="photograph of a ColorChecker Classic; several: an exposure stack"),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="the .json file to write")],
     edition: Annotated[
-        str, typer.Option(help="of the chart: 2014 (after November 2014) or 2005")
+        str, typer.Option(help="edition of the chart: 2014 (after November 2014) or 2005")
     ] = "2014",
     corners: Annotated[
         str | None,
-        typer.Option(help='of the chart, where it is not found: pixels as "x,y x,y x,y x,y"'),
+        typer.Option(help='corners of the chart, if it is not found: pixels as "x,y x,y x,y x,y"'),
     ] = None,
     coded: CodedOption = Coded.auto,
     pattern: PatternOption = None,
     white_level: WhiteLevelOption = None,
     exposure: Annotated[
-        list[float] | None, typer.Option(help="seconds, for each photograph; else from EXIF")
+        list[float] | None,
+        typer.Option(help="exposure time in seconds of each photograph; by default from EXIF"),
     ] = None,
     dark: DarkOption = None,
     dark_exposure: DarkExposureOption = None,
     flat: FlatOption = None,
     response: Annotated[
-        bool, typer.Option("--response", help="recover the camera's curve from the stack (8-bit)")
+        bool,
+        typer.Option(
+            "--response", help="recover the camera's response curve from the stack (8-bit)"
+        ),
     ] = False,
     picture: Picture = None,
 ) -> None:
@@ -175,25 +192,36 @@ def colour(
     "-o lights.json"
 )
 def lights(
-    photos: Annotated[list[Path], typer.Argument(help="a chrome ball under each lamp, in order")],
+    photos: Annotated[
+        list[Path],
+        typer.Argument(help="photographs of a chrome ball, one under each lamp, in order"),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="the .json file to write")],
     mask: Annotated[
         list[Path] | None,
-        typer.Option(help="white on the ball; once a ball (two or more place near lamps)"),
+        typer.Option(
+            help="mask, white on the ball; one mask per ball (two or more balls locate near lamps)"
+        ),
     ] = None,
     camera: Annotated[
-        Path | None, typer.Option(help="of `raden capture calibrate`; else the camera is far away")
+        Path | None,
+        typer.Option(
+            help="camera file of `raden capture calibrate`; by default the camera is far away"
+        ),
     ] = None,
     ball_radius: Annotated[
-        float | None, typer.Option(help="of the balls in mm, for positions; with --camera")
+        float | None, typer.Option(help="radius of the balls in mm, for positions; with --camera")
     ] = None,
     reference: Annotated[
         str | None,
         typer.Option(help="photographs of a matt grey reference, as 'grey.*.png' (in quotes)"),
     ] = None,
-    reference_mask: Annotated[Path | None, typer.Option(help="white on the reference")] = None,
+    reference_mask: Annotated[
+        Path | None, typer.Option(help="mask, white on the reference")
+    ] = None,
     reference_shape: Annotated[
-        Shape, typer.Option(help="a sphere, or a card that faces the camera")
+        Shape,
+        typer.Option(help="shape of the reference: a sphere, or a card that faces the camera"),
     ] = Shape.sphere,
     fit_response: Annotated[
         bool, typer.Option(help="also fit the camera's response, on a reference sphere")
@@ -243,25 +271,35 @@ def lights(
     "--lights lights.json --mask box.png -o box"
 )
 def normals(
-    photos: Annotated[list[Path], typer.Argument(help="the object under each lamp, in order")],
-    lights: Annotated[Path, typer.Option(help="what `raden capture lights` wrote")],
+    photos: Annotated[
+        list[Path], typer.Argument(help="photographs of the object, one under each lamp, in order")
+    ],
+    lights: Annotated[Path, typer.Option(help="lights file that `raden capture lights` wrote")],
     output: Annotated[Path, typer.Option("--output", "-o", help="the folder for the maps")],
-    mask: Annotated[Path | None, typer.Option(help="white on the object; else all")] = None,
-    method: Annotated[Solver, typer.Option(help="against shadows and highlights")] = Solver.robust,
+    mask: Annotated[
+        Path | None, typer.Option(help="mask, white on the object; by default everything")
+    ] = None,
+    method: Annotated[
+        Solver, typer.Option(help="method that is robust against shadows and highlights")
+    ] = Solver.robust,
     refine_intensity: Annotated[
         bool, typer.Option(help="also fit the lamps' brightness, known to about 10 %")
     ] = False,
     exponent: Annotated[
-        float | None, typer.Option(help="of the response; else what the lights file says")
+        float | None,
+        typer.Option(help="exponent of the response; by default the one in the lights file"),
     ] = None,
     shadow: Annotated[
-        float, typer.Option(help="darker than this share of the third brightest is shadow")
+        float,
+        typer.Option(
+            help="a pixel darker than this share of its third brightest value is in shadow"
+        ),
     ] = 0.1,
     plane_z: Annotated[
         float, typer.Option(help="near lamps: the object's plane, in the lights file's unit")
     ] = 0.0,
     keep_order: Annotated[
-        bool, typer.Option(help="do not stop where another order of the lamps fits better")
+        bool, typer.Option(help="do not stop if another order of the lamps fits better")
     ] = False,
     coded: CodedOption = Coded.auto,
 ) -> None:

@@ -41,7 +41,7 @@ def options(
     version: Annotated[
         bool,
         typer.Option(
-            "--version", callback=_say_version, is_eager=True, help="say the version and exit"
+            "--version", callback=_say_version, is_eager=True, help="show the version and exit"
         ),
     ] = False,
 ) -> None:

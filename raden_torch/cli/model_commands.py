@@ -32,27 +32,29 @@ class Symmetry(str, Enum):
 
 @app.command(epilog="Example: raden fit shell.csv -o shell.safetensors")
 def fit(
-    measurement: Annotated[Path, typer.Argument(help="a measurement file; its format is found")],
+    measurement: Annotated[Path, typer.Argument(help="a measurement file; its format is detected")],
     output: Annotated[Path, typer.Option("--output", "-o", help="the model file to write")],
     diffuse_scale: Annotated[
-        str | None, typer.Option(help="S per channel in 1/sr, by hand, as 0.1,0.1,0.1")
+        str | None, typer.Option(help="S per channel in 1/sr, set by hand, as 0.1,0.1,0.1")
     ] = None,
     diffuse_exponent: Annotated[
-        str | None, typer.Option(help="n per channel, by hand, as 1,1,1")
+        str | None, typer.Option(help="n per channel, set by hand, as 1,1,1")
     ] = None,
     interpolation: Annotated[
         str,
         typer.Option(
-            help="between nodes: auto, trilinear (the paper), cubic, lobes; kriging, "
-            "of scattered readings"
+            help="interpolation between nodes: auto, trilinear (the paper), cubic, lobes; kriging "
+            "for scattered readings"
         ),
     ] = "auto",
     validation: Annotated[
-        Path | None, typer.Option(help="readings off the grid to choose the interpolation by")
+        Path | None, typer.Option(help="readings off the grid, used to choose the interpolation")
     ] = None,
     assume: Annotated[
         Symmetry | None,
-        typer.Option(help="of the sample: then one plane, one view or one side suffices"),
+        typer.Option(
+            help="assumed symmetry of the sample: one plane, one view or one side is then enough"
+        ),
     ] = None,
     outside: Annotated[
         Outside,
@@ -101,10 +103,11 @@ def info(
         Path | None, typer.Argument(help="a measurement to compare the first one with")
     ] = None,
     against: Annotated[
-        Path | None, typer.Option(help="readings to score a model on, e.g. off its grid")
+        Path | None, typer.Option(help="readings to score a model against, e.g. off its grid")
     ] = None,
     system: Annotated[
-        bool, typer.Option("--system", help="instead: which form of the model runs here")
+        bool,
+        typer.Option("--system", help="show which form of the model runs on this machine instead"),
     ] = False,
 ) -> None:
     """Say what a file holds; compare two measurements; score a model on other readings."""
@@ -131,7 +134,7 @@ def info(
 
 
 def _measurement(path: Path) -> BrdfMeasurement:
-    """A measurement; what else the file is, is said."""
+    """The measurement in a file; another kind of file is named in the error."""
     from raden_torch.measurement import BrdfMeasurement
 
     loaded = load(path)
@@ -163,7 +166,8 @@ def merge(
     robust: Annotated[
         bool,
         typer.Option(
-            "--robust", help="where readings contradict, enlarge their uncertainty; else refuse"
+            "--robust",
+            help="if readings contradict each other, enlarge their uncertainty instead of refusing",
         ),
     ] = False,
 ) -> None:
@@ -186,11 +190,12 @@ def plot(
     *,
     output: Annotated[Path, typer.Option("--output", "-o", help=".png, .svg or .pdf")],
     figure: Annotated[
-        list[str] | None, typer.Option(help="5, 6, 7, 8, 9 or path; may be repeated; else all")
+        list[str] | None,
+        typer.Option(help="5, 6, 7, 8, 9 or path; may be repeated; by default all"),
     ] = None,
-    incidence: Annotated[float, typer.Option(help="held in figs 5, 6 and 9, degrees")] = 20.0,
-    tilt: Annotated[float, typer.Option(help="held in fig. 5, degrees")] = 10.0,
-    surface_tilt: Annotated[float, typer.Option(help="held in figs 7 and 8, degrees")] = 55.0,
+    incidence: Annotated[float, typer.Option(help="angle held in figs 5, 6 and 9, degrees")] = 20.0,
+    tilt: Annotated[float, typer.Option(help="angle held in fig. 5, degrees")] = 10.0,
+    surface_tilt: Annotated[float, typer.Option(help="angle held in figs 7 and 8, degrees")] = 55.0,
 ) -> None:
     """Draw the paper's graphs of a measurement or a model; or where two measurements differ."""
     from raden_torch.plots import FIGURES, check_plot_path, draw, draw_comparison, save_plot
@@ -225,10 +230,12 @@ def export(
     quantity: Annotated[
         str, typer.Option("--quantity", help="radiance, or brdf (f_r in 1/sr, gbuffer only)")
     ] = "radiance",
-    opset: Annotated[int, typer.Option(help="of the ONNX operators")] = 18,
+    opset: Annotated[int, typer.Option(help="version of the ONNX operator set")] = 18,
     fixed: Annotated[
         bool,
-        typer.Option("--fixed", help="parameters as constants: faster, for this shell alone"),
+        typer.Option(
+            "--fixed", help="make the parameters constants: faster, but for this shell alone"
+        ),
     ] = False,
 ) -> None:
     """Write a model as an ONNX shader for other programs, checked in ONNX Runtime."""
@@ -252,11 +259,12 @@ def export(
 def verify(
     file: Annotated[Path, typer.Argument(help="a file that `raden export` wrote")],
     node_modules: Annotated[
-        Path, typer.Option(help="with onnxruntime-node; onnxruntime-web and playwright-core")
+        Path,
+        typer.Option(help="folder with onnxruntime-node, or onnxruntime-web and playwright-core"),
     ] = Path("node_modules"),
     python: Annotated[
         list[Path] | None,
-        typer.Option(help="of another environment with onnxruntime; may be repeated"),
+        typer.Option(help="Python of another environment with onnxruntime; may be repeated"),
     ] = None,
 ) -> None:
     """Check an exported shader in every runtime on this machine."""
@@ -273,12 +281,15 @@ def bench(
         "bench"
     ),
     measurement: Annotated[
-        Path | None, typer.Option(help="a grid; else the simulated shell; with --readings")
+        Path | None,
+        typer.Option(
+            help="a measurement on a grid, by default the simulated shell; with --readings"
+        ),
     ] = None,
     readings: Annotated[Path | None, typer.Option(help="readings off that grid")] = None,
-    height: Annotated[int, typer.Option(help="of the timed frame, which is 16:9")] = 720,
+    height: Annotated[int, typer.Option(help="height of the timed frame, which is 16:9")] = 720,
     compiled: Annotated[
-        bool, typer.Option("--compiled", help="also under torch.compile; needs a C++ compiler")
+        bool, typer.Option("--compiled", help="also run under torch.compile; needs a C++ compiler")
     ] = False,
 ) -> None:
     """Run time against error, of every interpolator and backend."""

@@ -65,25 +65,31 @@ def render(
     camera: Annotated[str | None, typer.Option(help="the camera's position x,y,z; y is up")] = None,
     size: Annotated[int, typer.Option(help="width and height in pixels")] = 512,
     samples: Annotated[int, typer.Option(help="rays per pixel along each side")] = 2,
-    exposure: Annotated[str, typer.Option(help="stops, or auto")] = "auto",
+    exposure: Annotated[str, typer.Option(help="exposure in stops, or auto")] = "auto",
     gbuffer: Annotated[
         Path | None, typer.Option(help="an EXR with normals or depth to light, instead of a shape")
     ] = None,
     channel: Annotated[
-        list[str] | None, typer.Option(help="of the EXR, as normal=N or depth=Z; may be repeated")
+        list[str] | None,
+        typer.Option(help="channels of the EXR, as normal=N or depth=Z; may be repeated"),
     ] = None,
     fov: Annotated[
         float | None, typer.Option(help="horizontal field of view of the EXR's camera, degrees")
     ] = None,
-    smooth: Annotated[float, typer.Option(help="smooth the EXR's depth by so many pixels")] = 0.0,
+    smooth: Annotated[
+        float, typer.Option(help="smooth the EXR's depth over this many pixels")
+    ] = 0.0,
     depth: Depth = None,
     normal_xyz: NormalXyz = "r,g,b",
     tolerance: Annotated[
-        float, typer.Option(help="for an EXR: the radiance a pixel may be wrong by, to save time")
+        float,
+        typer.Option(
+            help="for an EXR: the largest error of a pixel's radiance that is accepted to save time"
+        ),
     ] = 0.0,
     memory: Annotated[
         str,
-        typer.Option(help="for an EXR lit into an .exr: shade it in bands that take no more"),
+        typer.Option(help="for an EXR lit into an .exr: shade it in bands within this much memory"),
     ] = "4G",
 ) -> None:
     """Light a shape, or an EXR G-buffer, with a model."""
@@ -149,7 +155,7 @@ def render(
     "--light 1,1,2 -o relit.png"
 )
 def relight(
-    photos: Annotated[list[Path], typer.Argument(help="photographs of one size, or one")],
+    photos: Annotated[list[Path], typer.Argument(help="one or more photographs of one size")],
     normals: Annotated[
         Path, typer.Option(help="normal map: PNG (8 or 16 bits), TIFF; EXR, also with depth")
     ],
@@ -158,16 +164,20 @@ def relight(
         Path, typer.Option("--output", "-o", help="the image to write; a folder for several")
     ],
     mask: Annotated[
-        Path | None, typer.Option(help="what to relight, with a soft edge; else all normals")
+        Path | None,
+        typer.Option(
+            help="mask of what to relight, with a soft edge; by default wherever there are normals"
+        ),
     ] = None,
     light: Annotated[
         list[str] | None, typer.Option(help="x,y,z towards a lamp at infinity; may be repeated")
     ] = None,
     strip: Annotated[
-        int | None, typer.Option(help="instead: this many lamps in a ring, side by side")
+        int | None, typer.Option(help="instead of --light: this many lamps in a ring, side by side")
     ] = None,
     sheet: Annotated[
-        int | None, typer.Option(help="instead: this many lamps in a ring, as a contact sheet")
+        int | None,
+        typer.Option(help="instead of --light: this many lamps in a ring, as a contact sheet"),
     ] = None,
     original_light: Annotated[
         str | None,
@@ -177,21 +187,23 @@ def relight(
         ),
     ] = None,
     linear: Annotated[
-        bool, typer.Option("--linear", help="whole numbers in the photographs are linear light")
+        bool, typer.Option("--linear", help="read whole numbers in the photographs as linear light")
     ] = False,
     fov: Annotated[
-        float | None, typer.Option(help="of an EXR with depth instead of normals, degrees")
+        float | None,
+        typer.Option(help="field of view of an EXR with depth instead of normals, degrees"),
     ] = None,
     depth: Depth = None,
     normal_xyz: NormalXyz = "r,g,b",
     elevation: Annotated[
-        float, typer.Option(help="of the ring of lamps above the picture, degrees")
+        float, typer.Option(help="elevation of the ring of lamps above the image plane, degrees")
     ] = 40.0,
     green: Annotated[
         Green, typer.Option(help="which way green points in the normal map")
     ] = Green.opengl,
     exposure: Annotated[
-        str, typer.Option(help="stops, or auto: the masked part keeps its mean luminance")
+        str,
+        typer.Option(help="exposure in stops, or auto: the masked part keeps its mean luminance"),
     ] = "auto",
 ) -> None:
     """Relight the masked part of photographs; the rest of them is kept."""
@@ -230,7 +242,7 @@ def relight(
 @app.command(epilog="Example: raden demo --out demo")
 def demo(
     out: Annotated[Path, typer.Option(help="the folder for the gallery")] = Path("demo"),
-    size: Annotated[int, typer.Option(help="picture size in pixels")] = 512,
+    size: Annotated[int, typer.Option(help="image size in pixels")] = 512,
 ) -> None:
     """Simulate a shell, fit a model to it, light it, and show all of it on a page."""
     require("the demo's pictures", "images", "plots", "export")

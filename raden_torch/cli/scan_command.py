@@ -33,53 +33,73 @@ def scan(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="the measurement to write, .csv")
     ] = None,
-    config: Annotated[Path | None, typer.Option(help="the rig's file; docs/rig.md")] = None,
+    config: Annotated[Path | None, typer.Option(help="the rig file; see docs/rig.md")] = None,
     simulate: Annotated[
-        bool, typer.Option("--simulate", help="instead: a simulated rig, over the same bytes")
+        bool,
+        typer.Option(
+            "--simulate", help="use a simulated rig instead, over the same serial protocols"
+        ),
     ] = False,
     specimen: Annotated[
         str, typer.Option(help="what the simulated rig measures: yakogai, …, or a measurement file")
     ] = "yakogai",
-    sample: Annotated[str | None, typer.Option(help="the specimen's name")] = None,
+    sample: Annotated[str | None, typer.Option(help="name of the specimen")] = None,
     plan: Annotated[
         str | None,
         typer.Option(help="full (the grid; the default), random (off the grid), or a CSV of cells"),
     ] = None,
-    step: Annotated[float | None, typer.Option(help="of the grid, degrees; 5")] = None,
-    incidence: Annotated[str | None, typer.Option(help="of the grid, as 0:70, degrees")] = None,
-    receiving: Annotated[str | None, typer.Option(help="of the grid, as -70:70")] = None,
-    tilt: Annotated[str | None, typer.Option(help="of the grid, as -70:70")] = None,
+    step: Annotated[float | None, typer.Option(help="step of the grid, degrees; default 5")] = None,
+    incidence: Annotated[
+        str | None, typer.Option(help="incidence range of the grid, as 0:70, degrees")
+    ] = None,
+    receiving: Annotated[
+        str | None, typer.Option(help="receiving range of the grid, as -70:70")
+    ] = None,
+    tilt: Annotated[str | None, typer.Option(help="tilt range of the grid, as -70:70")] = None,
     readings: Annotated[
         int | None,
-        typer.Option(help="how many random ones, 200; with --adaptive the most, 40 % of the grid"),
+        typer.Option(
+            help="number of random readings, default 200; with --adaptive the most, default 40 % "
+            "of the grid"
+        ),
     ] = None,
     adaptive: Annotated[
-        bool, typer.Option("--adaptive", help="a coarse pass, then where a reading tells most")
+        bool,
+        typer.Option(
+            "--adaptive",
+            help="a coarse pass, then further readings where they reduce the error most",
+        ),
     ] = False,
     target_error: Annotated[
-        float | None, typer.Option(help="of --adaptive: end when the estimated errors are below")
+        float | None,
+        typer.Option(help="with --adaptive: stop when the estimated errors are below this"),
     ] = None,
-    repeats: Annotated[int | None, typer.Option(help="readings of each cell; 1")] = None,
+    repeats: Annotated[int | None, typer.Option(help="readings of each cell; default 1")] = None,
     white_at_each: Annotated[
         bool, typer.Option("--white-at-each", help="read the white reference in every cell")
     ] = False,
     white_every: Annotated[
-        float | None, typer.Option(help="read dark and white, minutes; 10")
+        float | None,
+        typer.Option(help="interval between dark and white readings, minutes; default 10"),
     ] = None,
-    white_readings: Annotated[int | None, typer.Option(help="how many, of each; 5")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="go on with a scan's journal")] = False,
+    white_readings: Annotated[
+        int | None, typer.Option(help="number of dark and of white readings each time; default 5")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="continue a scan from its journal")
+    ] = False,
     from_journal: Annotated[
         Path | None,
-        typer.Option(help="write what a journal holds so far; no instrument is needed"),
+        typer.Option(help="write what a journal holds so far; needs no instrument"),
     ] = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="say what would be read and how long it takes")
+        bool, typer.Option("--dry-run", help="show what would be read and how long it takes")
     ] = False,
     reading_seconds: Annotated[
-        float, typer.Option(help="of one reading, for --dry-run alone")
+        float, typer.Option(help="time of one reading, with --dry-run only")
     ] = 3.0,
     check: Annotated[
-        bool, typer.Option("--check", help="talk to each instrument, and move nothing")
+        bool, typer.Option("--check", help="talk to each instrument, without moving anything")
     ] = False,
     yes: Annotated[
         bool, typer.Option("--yes", help="with --check: home, and read dark and white")
@@ -93,9 +113,11 @@ def scan(
     ] = 300.0,
     fault: Annotated[
         list[str] | None,
-        typer.Option(help="of the simulated rig and its chance, as busy=0.01; may be repeated"),
+        typer.Option(
+            help="fault of the simulated rig and its probability, as busy=0.01; may be repeated"
+        ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="of random cells, simulated noise and faults")] = 0,
+    seed: Annotated[int, typer.Option(help="seed of random cells, simulated noise and faults")] = 0,
 ) -> None:
     """Measure a sample with a goniospectrometer, from its plan to a measurement file."""
     from raden_torch.capture.spectrometer import scan_session

@@ -37,15 +37,21 @@ def simulate(
             "or a measurement (.csv)"
         ),
     ] = "yakogai",
-    shape: Annotated[Specimen, typer.Option(help="of the specimen")] = Specimen.sphere,
-    lamps: Annotated[int, typer.Option(help="how many, one a photograph")] = 29,
-    views: Annotated[int, typer.Option(help="places of the camera, for a plane")] = 6,
-    near: Annotated[bool, typer.Option("--near", help="lamps at about 1 m, else far away")] = False,
-    width: Annotated[int, typer.Option(help="of a photograph, pixels; its height is 2/3")] = 1200,
-    bits: Annotated[int, typer.Option(help="of the camera; 8 makes 8-bit files")] = 14,
-    stack: Annotated[int, typer.Option(help="exposures a photograph, each 4 times longer")] = 1,
-    seed: Annotated[int, typer.Option(help="of the noise and the places of things")] = 0,
-    variant: Annotated[Variant, typer.Option(help="of Mitsuba")] = Variant.scalar,
+    shape: Annotated[Specimen, typer.Option(help="shape of the specimen")] = Specimen.sphere,
+    lamps: Annotated[int, typer.Option(help="number of lamps, one per photograph")] = 29,
+    views: Annotated[int, typer.Option(help="number of camera positions, for a plane")] = 6,
+    near: Annotated[
+        bool, typer.Option("--near", help="place the lamps at about 1 m instead of far away")
+    ] = False,
+    width: Annotated[
+        int, typer.Option(help="width of a photograph, pixels; its height is 2/3 of that")
+    ] = 1200,
+    bits: Annotated[int, typer.Option(help="bits of the camera; 8 makes 8-bit files")] = 14,
+    stack: Annotated[
+        int, typer.Option(help="exposures per photograph, each 4 times longer than the last")
+    ] = 1,
+    seed: Annotated[int, typer.Option(help="seed of the noise and of the positions")] = 0,
+    variant: Annotated[Variant, typer.Option(help="variant of Mitsuba")] = Variant.scalar,
 ) -> None:
     """Photograph a simulated specimen by Mitsuba 3, with everything that is true of it beside."""
     require("simulated photographs", "simulate")

@@ -1,4 +1,4 @@
-"""The model's formulas over single planes, as a runtime that fuses nothing runs them fastest.
+"""The model's formulas on single components: fastest in runtimes that do not fuse operators.
 
 ONNX Runtime and its like run a graph an operator at a time, each a pass over memory. What is cheap
 there is elementwise arithmetic on maps of one size; reductions over x, y, z, `Where`, and every

@@ -1,6 +1,6 @@
 """Which bytes of an OpenEXR file hold which rows.
 
-OpenEXR stores pixels in chunks that know nothing of each other: some scan lines, or a tile. So some
+OpenEXR stores pixels in independent chunks: some scan lines, or a tile. So some
 rows of a large file, copied with a header that claims no more than them, are a small OpenEXR file;
 and such files, one below the other, are a large one. Nothing is compressed or decompressed here.
 

@@ -1,4 +1,4 @@
-"""What an image file says of itself, before its pixels are decoded; odd files are refused here."""
+"""An image file's header, read before its pixels; unsupported files are refused here."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 @dataclass(frozen=True)
 class ColourTags:
-    """What a file says of its colours; `colour_space.py` says what that means.
+    """A file's colour tags; `colour_space.py` interprets them.
 
     Attributes:
         icc: an ICC profile.

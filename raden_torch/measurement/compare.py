@@ -80,7 +80,7 @@ class ScaleComparison:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two measurements, second against first; `str` says it in words.
+    """Two measurements, second against first; `str` gives it as text.
 
     Attributes:
         names: of the samples.

@@ -15,7 +15,7 @@ A standard deviation is not known better: from 13 readings it is itself uncertai
 (JCGM 100:2008, table E.1).
 """
 SIGNIFICANT = 0.01
-"""A p-value below is no chance."""
+"""A p-value below this counts as a significant disagreement."""
 CONTRADICTION_STD = 6.0
 """Readings of one geometry contradict where two differ by more of their standard deviations, or
 several by what is as improbable."""

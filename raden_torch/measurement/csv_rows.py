@@ -122,7 +122,7 @@ def _why(table: CsvTable, surplus: int, last: bool) -> str:
 
 @dataclass
 class _Numbers:
-    """Cells → numbers, and what they have shown of the file's decimals so far.
+    """Cells → numbers, and what is known of the file's decimal sign so far.
 
     Attributes:
         comma, point: the first number with a decimal comma, and with a point: place and text.

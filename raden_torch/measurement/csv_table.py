@@ -1,4 +1,4 @@
-"""A table of numbers in a text file, as spreadsheets of many countries save it.
+"""A table of numbers in a text file, as spreadsheets of various locales save it.
 
     sep=;                                             Excel's hint, where it is there
     # comments
@@ -35,7 +35,7 @@ _HINT = re.compile(r'"?sep=(.)"?[,;\t ]*', re.IGNORECASE)
 
 @dataclass(frozen=True)
 class CsvHeading:
-    """What stands above the rows.
+    """The lines above the rows.
 
     Attributes:
         comments: the lines that begin with #.

@@ -1,4 +1,4 @@
-"""The error of each reading, taken apart: its own part, and what it shares with all others."""
+"""The error of each reading in two parts: its own, and the one that all readings share."""
 
 from __future__ import annotations
 

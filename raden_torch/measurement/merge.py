@@ -31,7 +31,7 @@ from raden_torch.measurement.systematic_errors import SystematicErrors
 _REFUSED_P = 1e-6  # what chance alone may refuse
 _ADVICE = (
     "see `raden info A B` for where they differ, leave one out, or enlarge the uncertainties by "
-    "--robust"
+    "`robust`"
 )
 _WORST = 3  # cells that are named
 

@@ -1,4 +1,4 @@
-"""A text file as people have it → text: gzip, byte order marks, Shift-JIS, Windows-1252.
+"""A text file in common encodings → text: gzip, byte order marks, Shift-JIS, Windows-1252.
 
 UTF-8 is taken where the bytes are UTF-8, UTF-16 where a byte order mark says so. Anything else must
 be Shift-JIS (Windows' cp932) or Windows-1252, and not both: `_legacy` has the rule. What separators

@@ -1,4 +1,4 @@
-"""What `raden capture` found, for a person to check: lamps on a dial, normals as a sheet."""
+"""Figures for checking the results of `raden capture`: lamps on a dial, normals as a sheet."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How the graphs look: line colours, true colour, fonts that have the sample's letters."""
+"""The style of the graphs: line colours, true colour, fonts that cover the sample's name."""
 
 from __future__ import annotations
 

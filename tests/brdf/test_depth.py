@@ -104,7 +104,7 @@ def test_what_is_wrong_with_a_depth_is_said(tmp_path):
     path = tmp_path / "z.exr"
     r = through(40)
     write_channels(path, {"Z": -plane(r, (0.0, 0.0, 1.0))})
-    with pytest.raises(InputError, match=r"z\.exr: no valid pixel.*--depth negative"):
+    with pytest.raises(InputError, match=r"z\.exr: no valid pixel.*`depth=\"negative\"`"):
         read_gbuffer(path, fov_deg=40)
     assert bool((read_gbuffer(path, fov_deg=40, depth="negative").mask == 1).all())
     with pytest.raises(
@@ -130,7 +130,9 @@ def test_planes_and_spheres_say_that_they_are_distances(tmp_path, name, fov_deg)
     z = SURFACES[name](r)
     path = tmp_path / "z.exr"
     write_channels(path, {"Z": np.where(z < 1e9, z * length(r), 1e10)})
-    with pytest.warns(UserWarning, match="surface is a (plane|sphere).*--depth distance") as found:
+    with pytest.warns(
+        UserWarning, match='surface is a (plane|sphere).*`depth="distance"`'
+    ) as found:
         read_gbuffer(path, fov_deg=fov_deg)
     assert len(found) == 1
     assert "z.exr" in str(found[0].message)

@@ -142,7 +142,7 @@ def test_contradictions_are_refused_by_name_or_enlarged() -> None:
     message = str(error.value)
     assert "\n" not in message
     assert message.index(f"({place} deg) Y = {a.values[7, 1]:.5g} and {b.values[7, 1]:.5g}")
-    assert "--robust" in message
+    assert "`robust`" in message
     merged = merge([a, b], robust=True)
     assert merged.contradicting == 1
     m = merged.measurement

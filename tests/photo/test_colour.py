@@ -128,7 +128,9 @@ def test_light_over_a_chart_is_taken_out() -> None:
         light * reference * (1 + 0.02 * rng.normal(size=24)), reference, CENTRES
     )
     assert noisy.rms < 0.03
-    with pytest.raises(InputError, match="one value a patch"):
+    with pytest.raises(
+        InputError, match="expected one value each, for ten patches or more, got signal"
+    ):
         band_reflectance(light[:5], reference[:5], CENTRES[:5])
     with pytest.raises(InputError, match="finite"):
         band_reflectance(light * 0, reference, CENTRES)

@@ -214,7 +214,7 @@ def test_the_colours_of_lamps(balls_under_coloured_lamps, tmp_path: Path) -> Non
 
 def test_linear_files_read_as_srgb_are_noticed_on_a_grey_ball(balls_under_coloured_lamps) -> None:
     photographs, grey, _ = balls_under_coloured_lamps
-    with pytest.warns(UserWarning, match=r"g0\.png: .* not linear light: --coded linear"):
+    with pytest.warns(UserWarning, match=r"g0\.png: .* not linear light: set `coded` to linear"):
         capture_lights(photographs, [grey.mask], reference=grey)
 
 

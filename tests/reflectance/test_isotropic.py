@@ -139,7 +139,7 @@ def test_files_of_one_plane_and_of_one_view(shared: Path, tmp_path: Path, name: 
     words = ["fit", str(shared / f"data/cases/{name}.csv"), "-o", str(tmp_path / "m.safetensors")]
     refused = CliRunner().invoke(app, words)
     assert isinstance(refused.exception, InputError)
-    assert "--assume isotropic" in str(refused.exception)
+    assert '`assume="isotropic"`' in str(refused.exception)
     result = CliRunner().invoke(app, [*words, "--assume", "isotropic"])
     assert result.exit_code == 0, result.output
     assert "assumed isotropic" in result.output

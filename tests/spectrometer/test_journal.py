@@ -141,13 +141,13 @@ def test_one_scan_at_a_time(journal_of_ten: Path) -> None:
 
 def test_a_journal_is_not_begun_twice(journal_of_ten: Path, header, plan) -> None:
     before = journal_of_ten.read_bytes()
-    with pytest.raises(InputError, match="go on with it by --resume"):
+    with pytest.raises(InputError, match="continue it with `resume`"):
         JournalFile.create(journal_of_ten, header(plan))
     assert journal_of_ten.read_bytes() == before
 
 
 def test_no_journal_no_resume(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no journal to resume"):
+    with pytest.raises(InputError, match="expected a journal to resume, got none"):
         JournalFile.resume(tmp_path / "none.jsonl")
 
 

@@ -242,7 +242,7 @@ def test_a_list_is_a_plan(rig: SimulatedRig, tmp_path: Path) -> None:
 def test_a_journal_is_not_overwritten_nor_mixed(rig: SimulatedRig, tmp_path: Path) -> None:
     common = ("scan", "--config", rig.config_path, "-o", tmp_path / "shell.csv")
     assert raden(*common, "--step", 70).returncode == 0
-    assert "go on with it by --resume" in refusal(raden(*common, "--step", 70))
+    assert "continue it with --resume" in refusal(raden(*common, "--step", 70))
     assert "is of another plan" in refusal(raden(*common, "--step", 35, "--resume"))
     assert "sample" in refusal(raden(*common, "--resume", "--sample", "another"))
     assert raden(*common, "--resume").returncode == 0
@@ -292,8 +292,8 @@ def test_wrong_options(options: tuple, message: str) -> None:
             ("--incidence", "0-70"),
             "--incidence: expected first and last in degrees, as 0:70, got 0-70",
         ),
-        (("--plan", "random", "--step", "5"), "shape a grid"),
-        (("--readings", "5"), "--readings goes with --plan random"),
+        (("--plan", "random", "--step", "5"), "`step_deg` and limits of angles are for a grid"),
+        (("--readings", "5"), "`readings` goes with a random plan"),
         (("--plan", "none.csv"), "none.csv"),
         (("--repeats", "0"), "repeats: expected 1…100, got 0"),
         (("--resume",), "expected a journal to resume, got none"),

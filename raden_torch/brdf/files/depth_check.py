@@ -1,7 +1,7 @@
-"""Does the surface say that its depth is the distance along the ray, and not planar z?
+"""Does the surface look as if its depth were the distance along the ray, not planar z?
 
 Points back-projected from the right reading of a plane or a sphere lie on a plane or a sphere;
-from the other they lie on neither. A part of the picture speaks for the distance where its points
+from the other they lie on neither. A part of the image indicates distances where its points
 fit one of the two `CLEARER` times better by it; nothing else about a surface is assumed, so most
 pictures say nothing.
 """
@@ -43,13 +43,13 @@ def warn_of_other_kind(path: object, depth: Tensor, there: Tensor, rays: Tensor)
         warnings.warn(
             f"{path}: the depth was read as planar z, but as the distance along the ray the "
             f"surface is a {shape}, to {max(misfit, 1e-6):.1g} of its size; "
-            "if so, give depth distance (--depth distance)",
+            'if so, give `depth="distance"`',
             stacklevel=6,
         )
 
 
 def shape_by_distance(depth: Tensor, there: Tensor, rays: Tensor) -> tuple[str, float] | None:
-    """The shape, plane or sphere, and its misfit, that speaks for the distance; None for none.
+    """The shape, plane or sphere, and its misfit, that indicates distances; None for none.
 
     Arguments as for `warn_of_other_kind`.
     """

@@ -80,7 +80,7 @@ def read_gbuffer(
             depth in half precision needs one of several pixels.
         depth: what the depth is, one of `depth.KINDS`: "planar", "distance" along the pixel's ray,
             "negative", or the renderer that wrote it. None is planar, and warns where the surface
-            speaks for another.
+            indicates another.
         xyz: the channels of the normals that hold x, y and z ("r" is the first of the three), with
             a minus where one points the other way: "r,-g,-b" for a camera with y down, z forward.
 
@@ -265,7 +265,7 @@ class GBufferFile:
         if not bool(there.any()) and bool((depth < 0).any()):
             raise InputError(
                 f"{self.path}: no valid pixel, the depth is below 0; if it is the z of a camera "
-                "that looks along −z, give depth negative (--depth negative)"
+                'that looks along −z, give `depth="negative"`'
             )
         if self._smooth_px <= 0:
             warn_of_steps(self.path, depth[there], cast(Tensor, self._matrix))

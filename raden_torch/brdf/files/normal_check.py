@@ -1,4 +1,4 @@
-"""Does a normal map say that it is stored otherwise than it was read?
+"""Does a normal map look as if it were stored in another way than it was read?
 
 Three things hold for the normals of a surface that is seen from the front:
 

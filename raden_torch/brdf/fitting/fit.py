@@ -1,4 +1,4 @@
-"""`fit`: a measurement becomes a model, and says how well."""
+"""`fit`: fit a model to a measurement and report how well it fits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fit has to say for itself."""
+"""The report of a fit: residuals, filled cells, warnings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _OUTSIDE = {
 
 @dataclass(frozen=True)
 class FitReport:
-    """What a fit did, in numbers; `str` says it in words.
+    """What a fit did, in numbers; `str` gives it as text.
 
     Attributes:
         cells: nodes of the table; the next five say where they come from.
@@ -190,7 +190,7 @@ def _warnings(
             + (
                 ""
                 if table.assumption
-                else "; of an isotropic sample, --assume isotropic derives more"
+                else '; of an isotropic sample, `assume="isotropic"` derives more'
             )
         )
     return tuple(found)

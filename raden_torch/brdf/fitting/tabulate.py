@@ -105,7 +105,7 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
     if flat:
         raise InputError(
             f"measurement: {flat}; a model needs at least two on each of incidence, receiving and "
-            "tilt; if the sample is isotropic, --assume isotropic derives the rest"
+            'tilt; if the sample is isotropic, `assume="isotropic"` derives the rest'
         )
     every, warnings = _as_rgb(measurement)
     rgb, angles = _readings(measurement)

@@ -1,7 +1,6 @@
 """The diffuse part of the model: Take (2012), eqs (3)–(6), and nothing else.
 
-Only the product S = S_T · S_R · S_I can be told from measurements, so it is one parameter per
-channel.
+Measurements determine only the product S = S_T · S_R · S_I, so it is one parameter per channel.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The G-buffer: what a renderer or a photograph knows of each pixel before it is lit."""
+"""The G-buffer: what a renderer or a photograph gives for each pixel before it is lit."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class DirectionalLight:
 
 @dataclass(frozen=True)
 class PointLight:
-    """A small lamp that shines alike in all directions; needs positions in the G-buffer.
+    """A small lamp of equal intensity in all directions; needs positions in the G-buffer.
 
     Attributes:
         position: in the G-buffer's frame and unit of length.

@@ -1,4 +1,4 @@
-"""`load_measurement`: every measurement format behind one door, found by content."""
+"""`load_measurement`: reads every supported measurement format, detected by content."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ def capture_brdf(
 
 @dataclass(eq=False)
 class _Objections:
-    """What speaks against the photographs: an error, or with `go_on` a warning and a note."""
+    """Objections to the photographs: each is an error, or with `go_on` a warning and a note."""
 
     go_on: bool
     notes: list[str] = field(default_factory=list)
@@ -158,7 +158,7 @@ class _Objections:
         if doubt is None:
             return
         if not self.go_on:
-            raise InputError(f"{doubt} (or go on all the same: --go-on)")
+            raise InputError(f"{doubt} (or continue anyway: `go_on`)")
         warnings.warn(doubt, stacklevel=4)
         self.notes.append(doubt)
 

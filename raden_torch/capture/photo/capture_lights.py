@@ -201,8 +201,8 @@ def _with_reference(
             notes.append(str(fit))
         elif not _LIKELY[0] < fit.exponent < _LIKELY[1]:
             warnings.warn(
-                f"{paths[0]}: with {fit}; this is not linear light: --coded linear or srgb, "
-                "whichever was not given, or --fit-response",
+                f"{paths[0]}: with {fit}; this is not linear light: set `coded` to linear or srgb, "
+                "whichever was not given, or `fit_response`",
                 stacklevel=3,
             )
     done(0.9)

@@ -229,7 +229,7 @@ def _notes(patches: Patches, exponent: float) -> tuple[str, ...]:
     if abs(exponent - 1) > _EXPONENT:
         notes.append(
             f"the neutral patches follow reflectance^{exponent:.2f}, not 1: the photograph is not "
-            "linear (a camera's tone curve, a wrong --coded, or stray light on the chart); "
+            "linear (a camera's tone curve, a wrong `coded`, or stray light on the chart); "
             "use a raw file, or recover the response from an exposure stack"
         )
     clipped = [PATCH_NAMES[i] for i in np.flatnonzero(~patches.usable)]

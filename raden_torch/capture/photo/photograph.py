@@ -306,7 +306,7 @@ def _pattern(
 
 
 def _metadata(image: StoredImage) -> dict[str, Any]:
-    """What EXIF and TIFF tags say; an empty answer where there are none."""
+    """The values of EXIF and TIFF tags; empty where there are none."""
     said: dict[str, Any] = {}
     inner = image.header.tags
     for name, tag in (("exposure_s", 33434), ("f_number", 33437), ("iso", 34855), ("white", 50717)):

@@ -57,7 +57,7 @@ class SurfaceNormals:
             shines with when it faces a lamp of intensity 1.
         confidence: `[1, 1, H, W]`, 1/(1 + (e/5°)²) with e = `error_deg`; 0 where no normal is.
         error_deg: `[1, 1, H, W]`, the standard error of the normal as the lamps' disagreement and
-            their directions give it. It knows nothing of errors that all lamps share.
+            their directions give it. It does not include errors that all lamps share.
         lamps_used: `[1, 1, H, W]`, how many lamps light the pixel and are not saturated there.
         lamp_residual: `[K]`, median of |I − s ρ N·L| / ρ over the pixels that the lamp lights.
         intensity: `[K]`, s: as given, or refined.

@@ -1,4 +1,4 @@
-"""A plan that reads a coarse grid first, and then where another reading tells most.
+"""A plan that reads a coarse grid first, then where a further reading reduces the error most.
 
 What it decides, and from what, is in `where_next`. Every decision is a batch of cells, an eighth of
 what was read before, in an order of little travel; the plan ends with its budget, with an estimated
@@ -34,7 +34,7 @@ BUDGET_SHARE = 0.4
 LEAST_READINGS = 20
 
 _BATCH_SHARE, _LEAST_BATCH = 1 / 8, 10
-_COARSE = (4, 7, 14, 28)  # every so manieth node of the finest grid, in the coarse pass
+_COARSE = (4, 7, 14, 28)  # the coarse pass reads each 4th, 7th, … node of the finest grid
 _COARSE_SHARE = 0.6  # of the budget that the coarse pass may take
 _DIGITS = 6
 
@@ -107,7 +107,7 @@ class AdaptivePlan(Plan):
         if len(self.cells) + len(cells) > self.budget:
             raise InputError(f"a decision beyond the budget of {self.budget} cells")
         if not _is_in(cells, _without(self.candidates, self.cells)).all():
-            raise InputError("a decision for a cell that was read, or is none of the plan's")
+            raise InputError("a decision for a cell that was read already, or is not in the plan")
         return replace(self, cells=checked_cells(np.concatenate([self.cells, cells]), "decision"))
 
     def as_json(self) -> dict[str, Any]:
@@ -129,7 +129,7 @@ class AdaptivePlan(Plan):
             target=None if data["target"] is None else float(data["target"]),
         )
         if not _is_in(plan.cells, plan.candidates).all():
-            raise InputError("plan: cells that are none of its candidates")
+            raise InputError("plan: expected cells among its candidates, got others")
         return plan
 
     def _next_count(self, cells: int) -> int:

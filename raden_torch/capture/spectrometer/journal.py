@@ -235,7 +235,7 @@ class JournalFile:
         target = check_writable(path)
         if target.exists():
             raise InputError(
-                f"{target}: there is a journal of an earlier scan; go on with it by --resume, or "
+                f"{target}: there is a journal of an earlier scan; continue it with `resume`, or "
                 "move it away"
             )
         line = _line(header.as_json())
@@ -256,7 +256,7 @@ class JournalFile:
         path = Path(path)
         if not path.is_file():
             raise InputError(
-                f"{path}: expected a journal to resume, got none; leave out --resume to begin"
+                f"{path}: expected a journal to resume, got none; leave out `resume` to begin"
             )
         return cls(path, read_journal(path))
 

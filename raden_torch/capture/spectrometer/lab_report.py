@@ -51,7 +51,7 @@ class Reciprocity:
 
 @dataclass(frozen=True)
 class LabReport:
-    """A scan in numbers; `str` says it in words.
+    """A scan in numbers; `str` gives it as text.
 
     Attributes:
         sample, goniometer, colorimeter, white, plan: by name.

@@ -1,4 +1,4 @@
-"""Where would another reading tell most?
+"""Where would a further reading reduce the estimated error most?
 
 The readings so far are kriged (`reflectance.kriging`), as `fit` does with them. Two things make an
 estimate of the error at a place that was not read: how far it is from the readings, which the

@@ -33,7 +33,7 @@ class PlanChoice:
         white_at_each: read the white reference in every cell.
         seed: of the random cells.
         adaptive: the grid's step is halved, and where to read is decided on the way.
-        target: an adaptive plan ends when its estimated errors are below this.
+        target_error: an adaptive plan ends when its estimated errors are below this.
     """
 
     kind: str | None = None
@@ -46,7 +46,7 @@ class PlanChoice:
     white_at_each: bool = False
     seed: int = 0
     adaptive: bool = False
-    target: float | None = None
+    target_error: float | None = None
 
     @property
     def is_made(self) -> bool:
@@ -69,7 +69,7 @@ class PlanChoice:
                 reachable=reachable,
                 repeats=repeats,
                 readings=share if self.readings is None else self.readings,
-                target=self.target,
+                target=self.target_error,
             )
         cells, name = self._cells()
         return make_plan(
@@ -88,17 +88,17 @@ class PlanChoice:
         kind = self.kind or "full"
         if kind != "full" and (self.step_deg is not None or self._limits()):
             raise InputError(
-                f"--step and limits of angles shape a grid; they do not go with {kind}"
+                f"`step_deg` and limits of angles are for a grid; they do not go with {kind}"
             )
         if kind != "random" and not self.adaptive and self.readings is not None:
-            raise InputError("--readings goes with --plan random or --adaptive")
-        if self.target is not None and not self.adaptive:
-            raise InputError("--target-error goes with --adaptive")
+            raise InputError("`readings` goes with a random plan or `adaptive`")
+        if self.target_error is not None and not self.adaptive:
+            raise InputError("`target_error` goes with `adaptive`")
         if self.adaptive and kind != "full":
-            raise InputError(f"--adaptive refines a grid; it does not go with {kind}")
+            raise InputError(f"`adaptive` refines a grid; it does not go with {kind}")
         if self.adaptive and self.white_at_each:
             raise InputError(
-                "--white-at-each needs to know the cells beforehand; it does not go with --adaptive"
+                "`white_at_each` needs to know the cells beforehand; it does not go with `adaptive`"
             )
 
     def _cells(self) -> tuple[Floats, str]:

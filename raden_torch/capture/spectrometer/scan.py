@@ -326,7 +326,7 @@ def _check_plausible(reading: ColorReading) -> None:
     if reading.range is Range.OK and not (abs(reading.xyz) < _HUGE).all():
         raise ConnectionLostError(f"colorimeter: XYZ {reading.xyz.tolist()} is no reading")
     if reading.radiance is not None and not (abs(reading.radiance) < _HUGE).all():
-        raise ConnectionLostError("colorimeter: a spectrum with values that are none")
+        raise ConnectionLostError("colorimeter: a spectrum with values that are not numbers")
 
 
 def _check_still_there(stands: Position, wanted: Position) -> None:

@@ -82,10 +82,10 @@ def systematic_errors(header: Header, white_mean_std: float) -> SystematicErrors
 def geometry_terms(measurement: BrdfMeasurement, header: Header) -> GeometryTerms:
     """From the slopes of the measured values; they are the measurement's own, with its noise.
 
-    What the zeros do is what a comparison will take out again: the same function says it.
+    The effect of the zeros is computed by the function that a comparison uses to remove it.
     """
     m = measurement
-    # a move to the sample is none to the white: where that stands does not matter
+    # a shift of the sample does not shift the white, so the white's position does not matter
     upright = None if m.metadata.systematic.white_deg is None else (0.0, 0.0, 0.0)
     slopes = slopes_per_deg(m.angles_deg, m.values, m.valid)
     moved = zero_sensitivity(m.values, m.angles_deg, slopes, upright)

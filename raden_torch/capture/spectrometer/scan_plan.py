@@ -1,4 +1,4 @@
-"""What is read, and in which order?
+"""Which cells are read, and in which order.
 
 A plan is asked for its next step with all readings that were taken so far. When all its cells are
 read, it is asked whether it decides on more of them; a fixed plan does not. A decision is kept in

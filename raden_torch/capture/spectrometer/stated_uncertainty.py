@@ -1,4 +1,4 @@
-"""What a rig states of its own uncertainty, and a journal keeps."""
+"""The uncertainties that a rig file states, which the journal keeps."""
 
 from __future__ import annotations
 

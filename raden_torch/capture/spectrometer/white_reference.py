@@ -1,4 +1,4 @@
-"""What is the white reference, and how much does it reflect?"""
+"""The white reference and its reflectance factor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from raden_torch.errors import InputError
 
 Triple = tuple[float, float, float]
 
-_MOST = 300.0  # a white that reflects three times as much as a diffuser is none
+_MOST = 300.0  # no white reflects three times as much as a perfect diffuser
 
 
 @dataclass(frozen=True)

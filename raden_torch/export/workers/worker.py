@@ -29,7 +29,7 @@ PROGRAMS = Path(__file__).parent
 
 
 class WorkerError(RuntimeError):
-    """What the program says it cannot do, or that it is gone."""
+    """The program reported an error, or ended."""
 
 
 class Worker:

@@ -48,8 +48,8 @@ def chart_white(
         return corners, WhiteFactor(_xyz(factor), None, relative, name)
     if edition is None:
         raise InputError(
-            "white: expected its reflectance factor, got none: give --white-factor (the perfect "
-            "diffuser is 100), or --white-file, a measurement of it"
+            "white: expected its reflectance factor, got none: give `white_factor` (the perfect "
+            "diffuser is 100), or `white_file`, a measurement of it"
         )
     return corners, WhiteFactor(100 * reference_xyz(edition)[_WHITE], None, relative, name)
 

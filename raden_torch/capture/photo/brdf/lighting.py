@@ -70,7 +70,11 @@ def lamps_of_shots(
     if lamps.position is not None and lamps.unit != unit:
         raise InputError(
             f"{lights}: its lamps' positions are in {lamps.unit}; "
-            + ("give the camera file" if camera is None else "find them with --camera")
+            + (
+                "give the camera file"
+                if camera is None
+                else "find them with `raden capture lights --camera`"
+            )
         )
     found = []
     for shot in shots:

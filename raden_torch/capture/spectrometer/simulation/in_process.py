@@ -54,7 +54,7 @@ def scan_in_process(
         scene: the sample and the lamp, of `make_scene` with `conditions.white_luminance_cd_m2`.
         conditions: how good the laboratory is; the rig states its uncertainties rightly.
         seed: of all errors.
-        white_relative_std: what the white's certificate states; the white errs by none of it.
+        white_relative_std: what the white's certificate states; the simulated one is exact.
     """
     laboratory = Laboratory(scene, conditions.errors, WHITE_FACTOR, np.random.default_rng(seed + 2))
     white = (WHITE_FACTOR / 100.0 * D65_XYZ).tolist()

@@ -1,4 +1,4 @@
-"""What light leaves the simulated stage: the sample or the white, the lamp, and all that errs.
+"""The light that leaves the simulated stage: sample or white, lamp, and all simulated errors.
 
 The same for the processes behind ptys and for a scan within one process. Angles err twice: by zeros
 that are off by one amount each as long as the rig runs, and by where each move ends.
@@ -21,7 +21,7 @@ _MOVED_DEG = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class InstrumentErrors:
-    """What is not perfect; all standard deviations, or relative to the perfect diffuser's light.
+    """Simulated imperfections: standard deviations, or relative to the perfect diffuser's light.
 
     Attributes:
         noise: of a reading, relative to it.

@@ -150,7 +150,7 @@ class Spectroradiometer:
 
 
 class SeenRadiance:
-    """Spectral radiance in front of the instrument, by what the stage's file says."""
+    """Spectral radiance in front of the instrument, from the position in the stage's file."""
 
     def __init__(self, config: dict[str, Any], laboratory: Laboratory):
         self._c, self._laboratory = config, laboratory
