@@ -331,7 +331,7 @@ def _opencv_text(path: Path) -> str:
         raise InputError(f"{path}: expected a calibration of at most {_MAX_OPENCV_BYTES} bytes")
     text = path.read_bytes().decode("utf-8", "replace")
     if "\0" in text or re.search(r"[\d.]{100}", text):
-        raise InputError(f"{path}: not an OpenCV file; a calibration was wanted")
+        raise InputError(f"{path}: expected an OpenCV calibration, got another file")
     return text
 
 
