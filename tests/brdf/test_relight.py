@@ -19,7 +19,7 @@ from raden_torch.brdf.files.image_file import (
     write_photograph,
 )
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
-from raden_torch.brdf.shading.relight import lamp_ring, matching_gain, relight, relit_strip
+from raden_torch.brdf.shading.relight import lamp_ring, matching_gain, relight, relit_under, tiled
 from raden_torch.errors import InputError
 
 
@@ -85,7 +85,7 @@ def test_two_lights_and_the_side_they_come_from(lambertian) -> None:
 
 def test_strip_goes_round(lambertian) -> None:
     normal, mask = ball(32)
-    strip = relit_strip(lambertian, photo(32) * 0.1, normal, mask, lamp_ring(12))
+    strip = tiled(relit_under(lambertian, photo(32) * 0.1, normal, mask, lamp_ring(12)), 12)
     assert strip.shape == (1, 3, 32, 12 * 32)
     tiles = strip.view(1, 3, 32, 12, 32) * mask.view(1, 1, 32, 1, 32)
     across = (torch.arange(32) - 15.5).view(1, 1, 1, 1, 32)

@@ -11,9 +11,29 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
-from raden_torch.brdf.shading.stress_geometries import invalid_vectors, regions, worst_errors
+from raden_torch.brdf.shading.stress_geometries import Vectors, regions, worst_errors
 
 NOISY = {"L near V, too near", "L near V, not unit"}
+
+
+def invalid_vectors() -> Vectors:
+    """Every triple in which at least one vector is zero or not finite: the value must be 0."""
+    bad = [
+        (0.0, 0.0, 0.0),
+        (math.nan, 0.0, 1.0),
+        (0.0, math.inf, 1.0),
+        (-math.inf, math.nan, 0.0),
+    ]
+    good = [(0.0, 0.0, 1.0), (0.3, -0.2, 0.9)]
+    triples = [
+        (a, b, c)
+        for a in bad + good
+        for b in bad + good
+        for c in bad + good
+        if {a, b, c} & set(bad)
+    ]
+    maps = torch.tensor(triples, dtype=torch.float64).permute(1, 2, 0)[:, None, :, :, None]
+    return maps[0], maps[1], maps[2]
 
 
 @pytest.fixture(scope="module", params=["trilinear", "lobes"])

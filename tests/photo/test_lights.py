@@ -15,7 +15,6 @@ from raden_torch.capture.photo.capture_lights import Reference, capture_lights
 from raden_torch.capture.photo.highlight import find_highlight
 from raden_torch.capture.photo.lamps import (
     Lamps,
-    lamp_from_board,
     lamps_from_balls,
     read_lamps,
     write_lamps,
@@ -144,27 +143,6 @@ def test_irradiance_falls_with_the_square_of_the_distance() -> None:
     length = np.linalg.norm(to_lamp, axis=1)[0]
     assert length[0] / length[1] == pytest.approx((500 / 400) ** 2)
     assert to_lamp[0, :, 1] / length[1] == pytest.approx([-0.6, 0, 0.8])
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_a_board_places_a_near_lamp(noise: float) -> None:
-    rng = np.random.default_rng(1)
-    x, y = np.meshgrid(np.linspace(-0.1, 0.1, 20), np.linspace(-0.14, 0.14, 24))
-    turn = cv2.Rodrigues(np.array([0.3, -0.2, 0.1]))[0]
-    points = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], -1) @ turn.T + [0, 0, -0.6]
-    normal, lamp = turn[:, 2], np.array([0.12, 0.1, -0.3])
-    to_lamp = lamp - points
-    radiance = 0.02 * (to_lamp @ normal) / np.linalg.norm(to_lamp, axis=1) ** 3
-    radiance *= 1 + noise * rng.normal(size=len(points))
-    found, rms = lamp_from_board(points, normal, radiance)
-    assert np.linalg.norm(found - lamp) < (1e-4 if noise == 0 else 0.01)
-    assert rms == pytest.approx(noise, abs=2e-3)
-    with pytest.raises(InputError, match="too far away"):
-        lamp_from_board(points, normal, np.ones(len(points)))
-    with pytest.raises(InputError, match="black"):
-        lamp_from_board(points, normal, radiance * 0)
-    with pytest.raises(InputError, match="in a line"):
-        lamp_from_board(points[:20], normal, radiance[:20])
 
 
 def test_a_plane_through_a_lens() -> None:

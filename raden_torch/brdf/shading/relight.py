@@ -132,22 +132,6 @@ def lamp_ring(count: int, elevation_deg: float = 40.0) -> list[DirectionalLight]
     return [DirectionalLight((flat * math.cos(t), flat * math.sin(t), up)) for t in turns]
 
 
-def relit_strip(
-    model: Reflection,
-    photo: Tensor,
-    normal: Tensor,
-    mask: Tensor,
-    lamps: Sequence[Light],
-    *,
-    gain: float | Tensor | None = None,
-) -> Tensor:
-    """`[B, 3, H, W · lamps]`: the photographs once under each lamp, one gain for all of them.
-
-    Args: as for `relight`; without a gain, the mean over the lamps keeps the mean luminance.
-    """
-    return tiled(relit_under(model, photo, normal, mask, lamps, gain=gain), len(lamps))
-
-
 def tiled(images: Tensor, columns: int) -> Tensor:
     """`[N, B, C, H, W]` → `[B, C, H · rows, W · columns]`, row by row; empty tiles are black."""
     count, batch, channels, height, width = images.shape

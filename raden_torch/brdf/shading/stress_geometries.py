@@ -73,26 +73,6 @@ def regions(n: int = 2000, seed: int = 0) -> dict[str, Vectors]:
     return {name: _rounded(vectors) for name, vectors in found.items()}
 
 
-def invalid_vectors() -> Vectors:
-    """Every triple in which at least one vector is zero or not finite: the value must be 0."""
-    bad = [
-        (0.0, 0.0, 0.0),
-        (math.nan, 0.0, 1.0),
-        (0.0, math.inf, 1.0),
-        (-math.inf, math.nan, 0.0),
-    ]
-    good = [(0.0, 0.0, 1.0), (0.3, -0.2, 0.9)]
-    triples = [
-        (a, b, c)
-        for a in bad + good
-        for b in bad + good
-        for c in bad + good
-        if {a, b, c} & set(bad)
-    ]
-    maps = torch.tensor(triples, dtype=torch.float64).permute(1, 2, 0)[:, None, :, :, None]
-    return maps[0], maps[1], maps[2]
-
-
 def worst_errors(shader: Shader, reference: Shader, n: int = 2000) -> dict[str, RegionError]:
     """Run a float32 shader and a float64 reference on every region.
 

@@ -169,66 +169,6 @@ def lamps_from_balls(
     return replace(lamps, direction=to_lamp, position=position, miss=miss)
 
 
-def lamp_from_board(points: Floats, normal: Floats, radiance: Floats) -> tuple[Floats, float]:
-    """A near lamp's position from how a matt, even, flat board without shadows is lit.
-
-    The board shines with c N·(s − x)/|s − x|³ at x; s and c are fitted to the logarithms.
-
-    Args:
-        points: `[P, 3]` on the board (its white fields), in any unit.
-        normal: `[3]` of the board, on the lamp's side; the board's normal, not a light.
-        radiance: `[P]` linear, above 0.
-
-    Returns:
-        The lamp's position `[3]` in the points' frame and unit, and the rms of the relative
-        residuals.
-
-    Raises:
-        InputError: fewer than 12 points, dark ones, points in a line, or a lamp too far away: its
-            light hardly changes over the board.
-    """
-    from scipy.optimize import least_squares
-
-    points, radiance = np.asarray(points, float), np.asarray(radiance, float)
-    normal = np.asarray(normal, float) / np.linalg.norm(normal)
-    if len(points) < 12 or points.shape != (len(radiance), 3):
-        raise InputError(
-            f"board: expected at least 12 points and their values, got {len(points)} points and "
-            f"{len(radiance)} values"
-        )
-    if not (np.isfinite(radiance).all() and (radiance > 0).all()):
-        raise InputError("board: expected points without shadows, got a black one")
-    middle = points.mean(0)
-    spread = np.linalg.svd(points - middle, full_matrices=False)
-    size = float(spread.S[0]) / np.sqrt(len(points))
-    if spread.S[1] < 0.05 * spread.S[0]:
-        raise InputError("board: expected points all over the board, got points in a line")
-    across = spread.Vh[:2] - np.outer(spread.Vh[:2] @ normal, normal)
-    local, log = (points - middle) / size, np.log(radiance)
-
-    def residual(p: Floats) -> Floats:
-        lamp = p[0] * across[0] + p[1] * across[1] + np.exp(p[2]) * normal
-        to_lamp = lamp - local
-        height = np.maximum(to_lamp @ normal, 1e-6)
-        shining = np.log(height) - 1.5 * np.log((to_lamp**2).sum(1))
-        return np.asarray(log - shining - np.median(log - shining))
-
-    fits = [
-        least_squares(residual, [x, y, z], loss="soft_l1", f_scale=0.05)
-        for x in (-2.0, 0.0, 2.0)
-        for y in (-2.0, 0.0, 2.0)
-        for z in (0.0, 1.5)
-    ]
-    best = min(fits, key=lambda fit: float(fit.cost))
-    if np.exp(best.x[2]) > 30 or float(np.abs(best.x[:2]).max()) > 30:
-        raise InputError(
-            "board: its light hardly changes; the lamp is too far away to be placed by it "
-            "(use a chrome ball for its direction)"
-        )
-    lamp = best.x[0] * across[0] + best.x[1] * across[1] + np.exp(best.x[2]) * normal
-    return lamp * size + middle, float(np.sqrt(np.mean(residual(best.x) ** 2)))
-
-
 def _nearest_points(point: Floats, direction: Floats) -> tuple[Floats, Floats]:
     """The point `[K, 3]` nearest to B rays `[K, B, 3]`, and its rms distance from them `[K]`."""
     across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
