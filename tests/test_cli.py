@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -257,6 +258,21 @@ def test_a_process_ends_as_the_command_does_in_this_one(
     alone, here = (run(*BAD[name], cwd=tmp_path) for run in (process, raden))
     assert alone.returncode == here.returncode == 2
     assert (alone.stdout, alone.stderr) == (here.stdout, here.stderr)
+
+
+def test_what_a_library_in_c_writes_is_caught_too(
+    raden: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def app() -> None:
+        os.write(2, b"a library\n")
+        print("and Python", file=sys.stderr)
+        print("on stdout")
+        sys.exit(3)
+
+    monkeypatch.setattr("raden_torch.cli.app", app)
+    done = raden("info")
+    assert (done.returncode, done.stdout) == (3, "on stdout\n")
+    assert done.stderr == "a library\nand Python\n"
 
 
 @pytest.mark.parametrize(
