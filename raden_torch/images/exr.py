@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.errors import InputError
-from raden_torch.files import check_output, written_beside
+from raden_torch.files import check_output, check_seekable, written_beside
 
 MAX_PIXELS = 2**26
 """The largest window that is read or written at once, in pixels (8192 x 8192)."""
@@ -186,6 +186,7 @@ def headers_of(path: str | os.PathLike[str], *, by_rows: bool = False) -> dict[s
 
 def _check_magic(path: str | os.PathLike[str]) -> None:
     try:
+        check_seekable(path)
         with open(path, "rb") as file:
             start = file.read(4)
     except OSError as error:
