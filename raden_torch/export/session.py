@@ -53,13 +53,13 @@ class ShaderSession:
         try:
             required = self._session.get_inputs()
             optional = self._session.get_overridable_initializers()
+            self._shapes = {i.name: tuple(i.shape) for i in (*required, *optional)}
+            self._required = {i.name for i in required}
+            self._output = self._session.get_outputs()[0].name
         except UnicodeDecodeError:
             raise InputError("ShaderSession: cannot load it: names that are not UTF-8") from None
-        self._shapes = {i.name: tuple(i.shape) for i in (*required, *optional)}
-        self._required = {i.name for i in required}
         if "normal" not in self._required:
             raise InputError("ShaderSession: no input `normal`; a file of export_onnx was wanted")
-        self._output = self._session.get_outputs()[0].name
         self._tile = tile
         self._data, self._threads = data, threads or os.cpu_count() or 1
         self._pool, self._process = ThreadPoolExecutor(self._threads), os.getpid()

@@ -78,6 +78,6 @@ def test_texts_that_are_damaged(file: Path, capfd: pytest.CaptureFixture[str]) -
         if entry.key == "parameters":
             entry.value = "{"
     for data in (graph.SerializeToString(), file.read_bytes().replace(b"normal", b"\xc7ormal")):
-        with pytest.raises(InputError, match="ShaderSession|onnxruntime"):
+        with pytest.raises(InputError, match=r"ShaderSession|onnxruntime"):
             ShaderSession(data)
     assert "EP Error" not in capfd.readouterr().out
