@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -32,6 +33,18 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
         if place.exists() and not os.access(place, os.W_OK):
             raise InputError(f"{target}: expected a place to write, got {place}, write-protected")
     return target
+
+
+def check_seekable(path: str | os.PathLike[str]) -> None:
+    """Refuse to read a pipe, which is used up by the look that tells what it holds.
+
+    Raises:
+        InputError: a pipe or a terminal.
+        OSError: it is not there.
+    """
+    mode = os.stat(path).st_mode
+    if stat.S_ISFIFO(mode) or stat.S_ISCHR(mode) or stat.S_ISSOCK(mode):
+        raise InputError(f"{path}: expected a file, got a pipe or a device; save it as one first")
 
 
 def check_output(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.arrays import Floats32
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 from raden_torch.export.constants import fix_parameters
 from raden_torch.export.runtimes import Arrays, one_line, onnx_session
 from raden_torch.packages import require
@@ -43,25 +43,34 @@ class ShaderSession:
     def __init__(
         self, file: str | os.PathLike[str] | bytes, *, tile: int = TILE, threads: int = 0
     ) -> None:
+        check_type("ShaderSession tile", tile, int)
+        check_type("ShaderSession threads", threads, int)
         if tile < 1:
             raise InputError(f"ShaderSession: tile: expected at least 1 pixel, got {tile}")
+        if threads < 0:
+            raise InputError(f"ShaderSession: expected 0 threads or more, got {threads}")
         data = file if isinstance(file, bytes) else _read(Path(file))
         self._session = onnx_session(_fixed(data), threads=1)
         try:
             required = self._session.get_inputs()
             optional = self._session.get_overridable_initializers()
+            self._shapes = {i.name: tuple(i.shape) for i in (*required, *optional)}
+            self._required = {i.name for i in required}
+            self._output = self._session.get_outputs()[0].name
         except UnicodeDecodeError:
             raise InputError("ShaderSession: cannot load it: names that are not UTF-8") from None
-        self._shapes = {i.name: tuple(i.shape) for i in (*required, *optional)}
-        self._required = {i.name for i in required}
         if "normal" not in self._required:
             raise InputError(
                 "ShaderSession: expected a file of export_onnx, got one without an input `normal`"
             )
-        self._output = self._session.get_outputs()[0].name
         self._tile = tile
-        self._pool = ThreadPoolExecutor(threads or os.cpu_count() or 1)
+        self._data, self._threads = data, threads or os.cpu_count() or 1
+        self._pool, self._process = ThreadPoolExecutor(self._threads), os.getpid()
         self._own = threading.local()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As the file's bytes: a session goes to other processes, as a data loader's workers."""
+        return partial(type(self), tile=self._tile, threads=self._threads), (self._data,)
 
     def run(self, **inputs: ArrayLike) -> Floats32:
         """The shader's output.
@@ -76,6 +85,8 @@ class ShaderSession:
             InputError: an input is missing, unknown, or of a shape that does not fit.
         """
         given = self._checked(inputs)
+        if self._process != os.getpid():  # a forked child has none of its parent's threads
+            self._pool, self._process = ThreadPoolExecutor(self._threads), os.getpid()
         batch, _, height, width = given["normal"].shape
         image = np.zeros((batch, 3, height * width), np.float32)
         for index in range(batch):
@@ -92,7 +103,7 @@ class ShaderSession:
             raise InputError(
                 f"ShaderSession: expected inputs {', '.join(self._shapes)}, got {what}"
             )
-        given = {name: np.asarray(value, np.float32) for name, value in inputs.items()}
+        given = {name: _real(name, value) for name, value in inputs.items()}
         if given["normal"].ndim != 4:
             raise InputError(
                 "ShaderSession: normal: expected shape [batch, 3, height, width], got "
@@ -171,6 +182,16 @@ def _run(pixels: NDArray[np.intp]) -> slice | None:
 
 def _bind(bind: Any, name: str, value: Floats32) -> None:
     bind(name, "cpu", 0, np.float32, value.shape, value.ctypes.data)
+
+
+def _real(name: str, value: ArrayLike) -> Floats32:
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "fiub":
+            raise TypeError(f"numbers were wanted, not {array.dtype}")
+        return np.asarray(array, np.float32)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"ShaderSession: {name}: {one_line(error)}") from None
 
 
 def _is_batched(shape: tuple[int | str, ...]) -> bool:

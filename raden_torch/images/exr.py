@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.errors import InputError
-from raden_torch.files import check_output, written_beside
+from raden_torch.files import check_output, check_seekable, written_beside
 from raden_torch.packages import require
 
 MAX_PIXELS = 2**26
@@ -195,6 +195,7 @@ def headers_of(path: str | os.PathLike[str], *, by_rows: bool = False) -> dict[s
 
 def _check_magic(path: str | os.PathLike[str]) -> None:
     try:
+        check_seekable(path)
         with open(path, "rb") as file:
             start = file.read(4)
     except OSError as error:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from raden_torch.errors import InputError
+from raden_torch.files import check_seekable
 from raden_torch.packages import require
 
 MAX_PIXELS = 178_956_970
@@ -80,6 +81,7 @@ def read_header(path: str | os.PathLike[str]) -> Header:
             grey or RGB (CMYK, Lab, …); or values of a type that the decoders spoil.
     """
     try:
+        check_seekable(path)
         with open(path, "rb") as file:
             start = file.read(65536)
     except OSError as error:

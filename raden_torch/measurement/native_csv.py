@@ -40,6 +40,7 @@ _OWN_KEYS = (
     *systematic_errors.KEYS,
 )
 _QUARTER_TURN_RAD = 1.6
+_BAND = r"\d+(\.\d*)?nm"
 
 
 @dataclass(frozen=True)
@@ -189,9 +190,10 @@ def _channels(path: Path, columns: Sequence[str]) -> tuple[str, ...]:
     channels = tuple(
         name for name in columns if name not in {*_ANGLES, *optional} and name[:4] != "std_"
     )
-    known = channels in (("X", "Y", "Z"), ("R", "G", "B")) or (
-        channels and all(re.fullmatch(r"[\d.]+nm", name) for name in channels)
-    )
+    bands = bool(channels) and all(re.fullmatch(_BAND, name) for name in channels)
+    if bands:  # in any order: spectrophotometers begin with the longest
+        channels = tuple(sorted(channels, key=lambda name: float(name[:-2])))
+    known = channels in (("X", "Y", "Z"), ("R", "G", "B")) or bands
     if not known:
         names = ", ".join(name[:40] or "(no name)" for name in channels[:12])
         raise InputError(

@@ -25,6 +25,12 @@ FACTOR_PER_SR = WHITE_LEVEL * np.pi
 LEAST_COVERAGE = 0.05
 """Share of a grid's cells with a reading below which it is too little for a model."""
 
+LARGEST = 1e30
+"""What is above is no reflectance factor, but infinite, or an instrument's code for an overload
+(9.9e37 in SCPI)."""
+_MISSING = (-999.0, -9999.0, -99999.0)
+"""Values that other programs write where they have none."""
+
 _ANGLE_LIMITS = {"incidence": (0.0, 90.0), "receiving": (-90.0, 90.0), "tilt": (-90.0, 90.0)}
 _MAX_GRID_CELLS = 20_000_000
 _SCATTERED = 50  # a grid with more cells than this many per reading is not a grid
@@ -216,7 +222,7 @@ class BrdfMeasurement:
         """How many sample azimuths the readings were taken at; 1 where none is given."""
         if self.azimuth_deg is None:
             return 1
-        return len(np.unique(np.round(self.azimuth_deg, DIGITS)))
+        return len(np.unique(np.round(self.azimuth_deg % 360, DIGITS) % 360))
 
     @property
     def is_grid(self) -> bool:
@@ -305,15 +311,23 @@ class BrdfMeasurement:
                 )
 
     def _check_values(self) -> None:
-        infinite = np.isinf(self.values)
+        infinite = np.isinf(self.values) | (abs(self.values) > LARGEST) & self.valid[:, None]
         if infinite.any():
             row, channel = np.unravel_index(int(np.argmax(infinite)), self.values.shape)
+            value = self.values[row, channel]
             raise InputError(
                 f"measurement: reading {row + 1}: {self.channels[channel]}: expected a finite "
-                "value, got infinity; mark a saturated reading as not valid, or leave its value "
-                "empty"
+                f"reflectance factor, got {value:g}; mark a saturated reading as not valid, or "
+                "leave its value empty"
             )
-
+        missing = np.isin(self.values, _MISSING) & self.valid[:, None]
+        if missing.any():
+            row, channel = np.unravel_index(int(np.argmax(missing)), self.values.shape)
+            raise InputError(
+                f"measurement: {self.channels[channel]} is {self.values[row, channel]:g} in "
+                f"reading {row + 1}: "
+                "a code for a missing value? Mark it as not valid, or leave its value empty"
+            )
         if self.std is not None and (self.std < 0).any():
             row, channel = np.unravel_index(int(np.argmax(self.std < 0)), self.std.shape)
             raise InputError(
@@ -325,7 +339,7 @@ class BrdfMeasurement:
         """Refuse readings of one geometry that contradict; see `consistency.pair_contradicts`."""
         columns = [self.incidence_deg, self.receiving_deg, self.tilt_deg]
         if self.azimuth_deg is not None:
-            columns.append(self.azimuth_deg)
+            columns.append(np.round(self.azimuth_deg % 360, DIGITS) % 360)
         rows = np.flatnonzero(self.valid)
         key = np.round(np.stack(columns, axis=1)[rows], DIGITS)
         order = np.lexsort(key.T[::-1])

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from raden_torch.errors import InputError
+from raden_torch.files import check_seekable
 
 HEAD_BYTES = 65_536
 UTF_8 = "UTF-8"
@@ -47,6 +48,7 @@ def read_head(path: Path, wanted: str) -> bytes:
         InputError: it cannot be opened; `wanted` says what should be there.
     """
     try:
+        check_seekable(path)
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
     except OSError as error:

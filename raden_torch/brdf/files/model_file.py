@@ -14,7 +14,7 @@ import torch
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
-from raden_torch.files import check_output, written_beside
+from raden_torch.files import check_output, check_seekable, written_beside
 
 FORMAT = "raden_torch model"
 VERSION = 1
@@ -87,6 +87,7 @@ def _read_about(path: Path) -> dict[str, Any]:
     """The metadata, read before any tensor is."""
     ours = f"{path}: not a model of raden_torch; `raden fit` writes one"
     try:
+        check_seekable(path)
         size = path.stat().st_size
         with path.open("rb") as file:
             start = file.read(8)

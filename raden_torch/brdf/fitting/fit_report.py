@@ -14,6 +14,7 @@ from raden_torch.brdf.fitting.interpolated_table import Choice
 from raden_torch.brdf.fitting.tabulate import Tabulated
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.measurement.readings import WHITE_LEVEL
 from raden_torch.reflectance.symmetry import reciprocity_error
 
 _UNKNOWN = Shares(float("nan"), float("nan"), float("nan"))
@@ -21,6 +22,8 @@ _OUTSIDE = {
     "continued": "there what was measured continues",
     "diffuse": "there the diffuse part stands alone",
 }
+_DARK = 1.5
+"""A measurement with no reading above this may be in another unit."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +183,12 @@ def _warnings(
     invalid = int((~measurement.valid).sum())
     if invalid:
         found.append(f"{invalid} of {len(measurement)} readings are not valid and were left out")
+    largest = float(measurement.values[measurement.valid].max())
+    if largest <= _DARK:
+        found.append(
+            f"no reading is above {largest:g}, where the perfect diffuser is {WHITE_LEVEL:g}; if "
+            f"it is 1 in this file, multiply its values by {WHITE_LEVEL:g}"
+        )
     negative = int((measurement.values[measurement.valid] < 0).any(axis=1).sum())
     if negative:
         found.append(f"{negative} readings have a negative value (noise); they were kept")

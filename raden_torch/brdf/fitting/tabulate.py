@@ -23,6 +23,8 @@ SCATTERED_STEP_DEG = 5.0
 
 _MOSTLY = 0.5
 """A grid of which less than this was measured is taken for scattered readings."""
+_ROUNDED_TO = (2, 1)
+"""Decimals of a degree that angles beside a grid's nodes are rounded to, in this order."""
 _MAX_NODES = 361  # on one axis, and
 _MAX_CELLS = 4_000_000  # in the table
 
@@ -109,9 +111,13 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
         )
     every, warnings = _as_rgb(measurement)
     rgb, angles = _readings(measurement)
-    nodes = _uniform(every.grid()) if every.is_grid else None
+    nodes = _nodes(every)
+    if nodes is None:
+        nodes, off_deg = _near_nodes(every)
+        if nodes is not None:
+            warnings.append(f"angles up to {off_deg:.2g} deg off a grid were taken as on it")
     scattered = None
-    if nodes is None or nodes.measured.mean() < _MOSTLY:
+    if nodes is None:
         grid = AngleGrid.around(rgb.angles_deg, SCATTERED_STEP_DEG)
         known = _valid_xyz(measurement)
         scattered = with_noise(
@@ -141,6 +147,32 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
         assumption="",
         warnings=tuple(warnings),
     )
+
+
+def _nodes(rgb: BrdfMeasurement) -> ReadingGrid | None:
+    """The evenly spaced grid that the readings fill half of; None where they lie scattered."""
+    nodes = _uniform(rgb.grid()) if rgb.is_grid else None
+    return nodes if nodes is not None and nodes.measured.mean() >= _MOSTLY else None
+
+
+def _near_nodes(rgb: BrdfMeasurement) -> tuple[ReadingGrid | None, float]:
+    """The same of angles as encoders read them, a little beside the nodes; how far at most."""
+    for decimals in _ROUNDED_TO:
+        rounded = np.round(rgb.angles_deg, decimals).T
+        try:
+            nodes = _nodes(
+                replace(
+                    rgb,
+                    incidence_deg=rounded[0],
+                    receiving_deg=rounded[1],
+                    tilt_deg=rounded[2],
+                )
+            )
+        except InputError:  # readings of one node contradict
+            continue
+        if nodes is not None:
+            return nodes, float(abs(rounded.T - rgb.angles_deg).max())
+    return None, 0.0
 
 
 def _derived(measurement: BrdfMeasurement) -> Tabulated:
@@ -173,6 +205,8 @@ def _check_readings(measurement: BrdfMeasurement) -> None:
     _check_coverage(measurement)
     if not measurement.valid.any():
         raise InputError("measurement: expected valid readings, got none; nothing can be fitted")
+    if not (measurement.values[measurement.valid] > 0).any():
+        raise InputError("measurement: expected a sample that reflects, got no value above 0")
 
 
 def _readings(
