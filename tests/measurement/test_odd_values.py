@@ -26,8 +26,8 @@ def changed(value: float, *, valid: bool = True) -> rt.BrdfMeasurement:
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (9.9e37, "Y is 9.9e\\+37, no reflectance factor, in reading 3; mark a saturated"),
-        (math.inf, "Y is infinite in reading 3; mark a saturated"),
+        (9.9e37, "reading 3: Y: expected a finite reflectance factor, got 9.9e\\+37; mark"),
+        (math.inf, "reading 3: Y: expected a finite reflectance factor, got inf; mark"),
         (-999.0, "Y is -999 in reading 3: a code for a missing value\\?"),
         (-9999.0, "Y is -9999 in reading 3"),
     ],
