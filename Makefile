@@ -10,7 +10,7 @@ demo: $(VENV)/made
 	$(BIN)/raden demo --out demo
 
 test: lint runtimes
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadgroup
 
 lint: $(VENV)/made
 	$(BIN)/ruff check .
