@@ -220,7 +220,7 @@ def test_foreign_and_damaged_files_are_refused(model, tmp_path: Path) -> None:
     refused("wrong content")
     path.write_bytes(whole)
     rewrite(path, lambda header, about: about.update(version=99))
-    refused("format 99")
+    refused("model format: expected up to 1, got 99")
     path.write_bytes(whole)
     rewrite(path, lambda header, about: about.pop("step_deg"))
     refused("wrong content")
@@ -230,6 +230,6 @@ def test_foreign_and_damaged_files_are_refused(model, tmp_path: Path) -> None:
     with torch.no_grad():
         model.diffuse.scale[0] = float("nan")
     rt.save_model(model, path)
-    refused("not finite")
+    refused("diffuse.scale: expected finite values")
     with torch.no_grad():
         model.diffuse.scale[0] = 0.1

@@ -33,7 +33,7 @@ def test_sphere_has_up_above_and_right_on_the_right() -> None:
 
 
 def test_wrong_spheres_are_refused() -> None:
-    with pytest.raises(InputError, match="inside the unit sphere"):
+    with pytest.raises(InputError, match="expected a position outside the unit sphere, got"):
         sphere(16, (0.1, 0, 0))
     with pytest.raises(InputError, match="16384 rays"):
         sphere(100_000)

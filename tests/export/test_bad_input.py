@@ -166,7 +166,7 @@ def test_changed_tensors_and_newer_formats(
         if entry.key == "format_version":
             entry.value = "2"
     onnx.save(graph, changed)
-    refused(tmp_path, lambda: verify_onnx(changed), "format '2'")
+    refused(tmp_path, lambda: verify_onnx(changed), "shader format: expected 1, got '2'")
     graph = onnx.load(exported(matt, output="brdf").path)
     for tensor in graph.graph.initializer:
         if tensor.name == "diffuse_scale":
