@@ -326,7 +326,7 @@ def test_a_forked_child_has_threads_of_its_own(tmp_path: Path) -> None:
     script = tmp_path / "fork.py"
     script.write_text(
         "import os, torch, raden_torch as rt\n"
-        "from raden_torch.brdf import kernel\n"
+        "from raden_torch.brdf.model import kernel\n"
         "from raden_torch.brdf.model.reflectance_table import ReflectanceTable\n"
         "torch.set_num_threads(2)\n"
         "t = ReflectanceTable(torch.rand(3, 3, 3, 3), (0., -70., -70.), (35., 70., 70.))\n"

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import onnx
 import pytest
 import torch
 
 import raden_torch as rt
 from raden_torch.brdf.model.model import CosineDiffuse
+from raden_torch.export import export as export_module
 from raden_torch.export.check import ExportReport, StressSet
 
 
@@ -45,18 +48,27 @@ def everything_in(model: rt.RadenBrdf) -> Hashable:
 
 
 @pytest.fixture(scope="package", autouse=True)
-def _each_stress_set_once() -> Iterator[None]:
-    """Torch's own pictures of one model are computed once, however many files are checked."""
+def _each_model_once() -> Iterator[None]:
+    """A model is traced, and its pictures for the check are computed in torch, once a profile."""
+    traced: dict[Hashable, onnx.ModelProto] = {}
     made: dict[Hashable, StressSet] = {}
 
-    def once(model: rt.RadenBrdf, *options: str, fixed: bool = False) -> StressSet:
+    def graph(model: rt.RadenBrdf, *options: str | int) -> onnx.ModelProto:
+        key = (everything_in(model), repr(model.provenance), *options)
+        if key not in traced:
+            traced[key] = trace(model, *options)
+        return copy.deepcopy(traced[key])
+
+    def stress_set(model: rt.RadenBrdf, *options: str, fixed: bool = False) -> StressSet:
         key = (everything_in(model), *options, fixed)
         if key not in made:
             made[key] = StressSet(model, *options, fixed=fixed)
         return made[key]
 
+    trace = export_module._graph
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr("raden_torch.export.export.StressSet", once)
+        patched.setattr(export_module, "_graph", graph)
+        patched.setattr(export_module, "StressSet", stress_set)
         yield
 
 
