@@ -309,7 +309,10 @@ def _original_lamp(
     for lamp in lamps if is_list else ():
         if lamp.get("photograph") == photograph.name:
             direction = numbers(original, lamp, "direction_to_lamp", (3,))
-            return DirectionalLight(direction.tolist())
+            try:
+                return DirectionalLight(direction.tolist())
+            except InputError as error:
+                raise InputError(f"{original}: {error}") from None
     raise InputError(
         f"{original}: {photograph.name} is not one of its photographs; give the lamp as x,y,z"
     )

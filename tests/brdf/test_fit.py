@@ -147,7 +147,7 @@ def test_uneven_axes_get_their_common_step(analytic) -> None:
     )
     third = m.select(np.isin(m.incidence_deg, [0, 10, 20]))
     uneven = replace(
-        third, incidence_deg=np.where(third.incidence_deg == 10, 10.0123, third.incidence_deg)
+        third, incidence_deg=np.where(third.incidence_deg == 10, 10.123, third.incidence_deg)
     )
     result = rt.fit(uneven, interpolation="trilinear")
     assert result.report.scattered

@@ -235,6 +235,8 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
         if key not in columns:
             raise InputError(f"{path}: expected a whole lights file, got a lamp without {key}")
     direction = numbers(path, columns, "direction_to_lamp", (-1, 3))
+    largest = abs(direction).max(axis=1, keepdims=True)
+    direction = direction / np.where(largest > 0, largest, 1)  # whose squares do not overflow
     length = np.linalg.norm(direction, axis=1, keepdims=True)
     intensity = numbers(path, columns, "intensity", (-1,))
     if (length == 0).any() or (intensity <= 0).any():
