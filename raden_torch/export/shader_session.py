@@ -188,7 +188,7 @@ def _real(name: str, value: ArrayLike) -> Floats32:
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
-            raise TypeError(f"numbers were wanted, not {array.dtype}")
+            raise TypeError(f"expected numbers, got {array.dtype}")
         return np.asarray(array, np.float32)
     except (TypeError, ValueError, RuntimeError) as error:
         raise InputError(f"ShaderSession: {name}: {one_line(error)}") from None
