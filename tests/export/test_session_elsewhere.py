@@ -51,8 +51,8 @@ def test_a_pickled_session_computes(file: Path) -> None:
 @pytest.mark.parametrize(
     ("normal", "message"),
     [
-        ("x", "normal: numbers were wanted"),
-        (UP * 1j, "normal: numbers were wanted, not complex"),
+        ("x", "normal: expected numbers"),
+        (UP * 1j, "normal: expected numbers, got complex"),
         (torch.from_numpy(UP).requires_grad_(), "normal: .*detach"),
         ([[1], [1, 2]], "normal"),
     ],
