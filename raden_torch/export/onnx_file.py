@@ -39,8 +39,7 @@ _ANGLES = (
     "t = 0, a = theta, r = -theta"
 )
 _INVALID = (
-    "0 where a vector is zero or not finite, and where the light or the viewer is below the "
-    "horizon; beyond the table's angles the specular part fades to 0 over one of its steps"
+    "0 where a vector is zero or not finite, and where the light or the viewer is below the horizon"
 )
 
 
@@ -141,7 +140,7 @@ def _metadata(
         "vector_convention": _VECTORS,
         "angle_convention": _ANGLES,
         "valid_range": _valid_range(model),
-        "outside_valid_range": _INVALID,
+        "outside_valid_range": f"{_beyond(model)}; {_INVALID}",
         "optional_inputs": ", ".join(p.name for p in inputs if p.default is not None),
         "sample": about.sample,
         "instrument": about.instrument,
@@ -158,16 +157,18 @@ def _about_in_words(model: RadenBrdf) -> str:
     return f"Reflection of {model.provenance.sample or 'an unnamed sample'} ({kind})"
 
 
+def _beyond(model: RadenBrdf) -> str:
+    """What stands beyond the measured angles."""
+    if model.provenance.fit.get("outside") == "continued":
+        return "what was measured is continued to the horizon"
+    return "the specular part fades to 0 over one step of the table"
+
+
 def _valid_range(model: RadenBrdf) -> str:
     if model.table is None:
         return "all angles (diffuse formula, no table)"
-    axes = zip(
-        ("incidence", "receiving", "tilt"),
-        model.table.first_deg,
-        model.table.last_deg,
-        strict=True,
-    )
-    return ", ".join(f"{name} {first:g} to {last:g} deg" for name, first, last in axes)
+    axes = zip(("incidence", "receiving", "tilt"), model.measured_box_deg, strict=True)
+    return ", ".join(f"{name} {first:g} to {last:g} deg" for name, (first, last) in axes)
 
 
 def _value_info(name: str, shape: tuple[int | str, ...], doc: str) -> onnx.ValueInfoProto:

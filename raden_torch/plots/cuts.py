@@ -174,8 +174,7 @@ class ModelSamples:
         if self.model.table is None:
             low, high = ANGLE_LIMITS_DEG[angle]
             return max(low, -80.0), min(high, 80.0)
-        i = ANGLES.index(angle)
-        return self.model.table.first_deg[i], self.model.table.last_deg[i]
+        return self.model.measured_box_deg[ANGLES.index(angle)]
 
     def _axis(self, angle: str, step: float, beyond: float) -> Floats:
         """The box and what lies `beyond` it; in steps of about `step` that meet its edges."""

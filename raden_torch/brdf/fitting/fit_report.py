@@ -48,6 +48,7 @@ class FitReport:
         assumption: what was assumed of the sample, and how far readings bear it out; may be empty.
         hemisphere: which shares of all pairs of directions were measured, filled within the
             measured box, and lie outside it.
+        box_deg: first and last measured incidence, receiving and tilt.
         outside: what stands there: "continued" or "diffuse".
         albedo: directional albedo by incidence in degrees, in its highest channel.
         warnings: one sentence each.
@@ -73,6 +74,7 @@ class FitReport:
     from_assumption: int = 0
     assumption: str = ""
     hemisphere: Shares = _UNKNOWN
+    box_deg: tuple[tuple[float, float], ...] = ()
     outside: str = "diffuse"
     albedo: dict[float, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
@@ -156,6 +158,7 @@ def make_report(
         from_assumption=int(table.assumed.sum()),
         assumption=table.assumption,
         hemisphere=shares(table),
+        box_deg=tuple((float(axis[0]), float(axis[-1])) for axis in table.grid),
         outside=outside,
         albedo=albedo,
         warnings=(

@@ -153,6 +153,16 @@ class RadenBrdf(nn.Module):
             share = torch.maximum(share, (body - specular).abs())
         return bound if self.diffuse is None else bound + share * self.diffuse.scale.detach().abs()
 
+    @property
+    def measured_box_deg(self) -> tuple[tuple[float, float], ...]:
+        """First and last measured incidence, receiving and tilt; empty without a table. Where what
+        was measured is continued, the table reaches further."""
+        if self.table is None:
+            return ()
+        box = self.provenance.fit.get("box_deg")
+        ends = box or zip(self.table.first_deg, self.table.last_deg, strict=True)
+        return tuple((float(low), float(high)) for low, high in ends)
+
     def check_device(self, like: Tensor) -> None:
         """Raise InputError, in one line, unless the model is where the maps are."""
         for name, p in self.named_parameters():
