@@ -118,7 +118,7 @@ def test_one_direction_twice_is_averaged_and_counted(tmp_path: Path) -> None:
         ),
         (
             HEAD + "30 0\n30 0 1e308\n",
-            "reading 1: (650nm|550nm): expected a finite value, got infinity",
+            "reading 1: (650nm|550nm): expected a finite reflectance factor, got inf",
         ),
         (
             HEAD.replace("deg", "sin") + "0 2\n0 0 1\n",

@@ -117,7 +117,7 @@ BAD = {
     "a count that is none": ("# readings: many\n" + HEADER + ROWS, "'many'"),
     "infinite": (
         HEADER + ROWS + "9,9,9,1,inf,1\n",
-        "reading 4: Y: expected a finite value, got infinity",
+        "reading 4: Y: expected a finite reflectance factor, got inf",
     ),
     "angle not a number": (
         HEADER + ROWS + "9,nan,9,1,1,1\n",

@@ -65,7 +65,7 @@ def test_nan_is_a_gap_and_infinity_an_error() -> None:
     values[1, 2] = np.nan
     assert readings(values=values).valid.tolist() == [True, False, True, True]
     values[1, 2] = np.inf
-    with pytest.raises(InputError, match="reading 2: Z: expected a finite value, got infinity"):
+    with pytest.raises(InputError, match=r"reading 2: Z: expected a finite .*, got inf"):
         readings(values=values)
 
 

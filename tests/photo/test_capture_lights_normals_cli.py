@@ -107,9 +107,9 @@ def test_what_a_person_may_do_wrong(
     cv2.imwrite(str(black), np.zeros((340, 512, 3), np.uint8))
     cases = (
         (grey[::-1], "another order than the lamps"),
-        (grey[:5], "12 lamps, but 5 photographs"),
+        (grey[:5], "got 12 lamps for 5 photographs"),
         ([burnt] * 12, "burnt.png: over-exposed"),
-        ([*grey[:11], small], "small.png: 51 x 34 pixels"),
+        ([*grey[:11], small], "small.png: expected photographs of one size, got 51 x 34"),
         ([*grey[:11], black], "black.png: the object is black"),
     )
     for given, message in cases:
