@@ -270,7 +270,7 @@ def test_llvm_is_tried_in_another_process(mi: Any, monkeypatch: pytest.MonkeyPat
         ({"material": "nowhere.csv"}, "No such file"),
         ({"shape": "cube"}, "sphere or plane"),
         ({"width": 40}, "300…6000"),
-        ({"shape": "plane", "stack": 3}, "stack at 1"),
+        ({"shape": "plane", "stack": 3}, "stack: expected 1 for a plane, got 3"),
     ],
 )
 def test_bad_options(mi: Any, tmp_path: Path, options: dict[str, Any], message: str) -> None:

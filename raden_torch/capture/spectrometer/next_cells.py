@@ -47,9 +47,10 @@ def estimate(readings: BrdfMeasurement, candidates: Floats) -> Estimate:
     """The error at the candidates, `[N, 3]` in degrees, which also stand for all other places.
 
     Args:
-        readings: the valid ones, XYZ; their `std` tells noise from change.
+        readings: XYZ, of which the valid ones count; their `std` tells noise from change.
     """
-    known = LogReadings.of(readings.angles_deg, readings.values, readings.std, readings.count)
+    valid = readings.select(readings.valid)
+    known = LogReadings.of(valid.angles_deg, valid.values, valid.std, valid.count)
     noise, logs = known.noise, known.logs[:, LUMINANCE]
     kriging = known.kriged()
     errors, unit = kriging.leave_one_out()
