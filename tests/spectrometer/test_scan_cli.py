@@ -88,7 +88,8 @@ def test_from_the_rig_to_the_sphere(specimen: Path, tmp_path: Path) -> None:
     assert m.valid.sum() == 75 - 15
     z = ((m.values - truth.values) / m.std)[m.valid]
     assert 0.4 < np.mean(z**2) < 2.0
-    done = raden("fit", shell, "-o", model, "--interpolation", "trilinear")
+    paper = "--interpolation", "trilinear", "--outside", "diffuse"
+    done = raden("fit", shell, "-o", model, *paper)
     assert done.returncode == 0, done.stderr
     table = rt.load_model(model).table
     assert table is not None
