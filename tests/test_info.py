@@ -263,7 +263,12 @@ FILES: dict[Callable[[Path], None], tuple[str, ...]] = {
         "75 readings, 75 valid; channels X, Y, Z",
         "incidence: 0…70 deg by 35, 3 values",
     ),
-    model: ("model of yakogai (simulated specimen)", "table: 3 x 5 x 5 x 3; incidence 0…70 by 35"),
+    model: (
+        "model of yakogai (simulated specimen)",
+        "table: 4 x 7 x 7 x 3; incidence 0…105 by 35",
+        "measured: incidence 0…70, receiving -70…70, tilt -70…70 deg; beyond, what was measured is "
+        "continued",
+    ),
     shader_of_others: (
         "ONNX file of another program",
         "input a: float [n, 3]",

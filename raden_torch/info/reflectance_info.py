@@ -75,6 +75,11 @@ def describe_model(model: RadenBrdf) -> str:
     if model.table is not None:
         shape = " x ".join(map(str, model.table.values.shape))
         lines.append(f"table: {shape}; {model.table.extra_repr()} deg")
+        axes = zip(("incidence", "receiving", "tilt"), model.measured_box_deg, strict=True)
+        box = ", ".join(f"{name} {low:g}…{high:g}" for name, (low, high) in axes)
+        continued = about.fit.get("outside") == "continued"
+        beyond = "what was measured is continued" if continued else "the diffuse part stands alone"
+        lines.append(f"measured: {box} deg; beyond, {beyond}")
     if model.diffuse is not None:
         triple = lambda values: ", ".join(f"{v:.4g}" for v in values.tolist())  # noqa: E731
         lines.append(
