@@ -220,7 +220,7 @@ DOORS = {"capture/photo": "photo", "plots": "plots"}
 """Rooms that ask for all of an extra when they are entered, in their __init__.py."""
 AFTER_THE_DOOR = {
     "export/trace.py",  # of export_onnx
-    "info/shader.py",  # of onnx_file.read_graph
+    "info/shader_info.py",  # of onnx_file.read_graph
     "export/workers/other_python.py",  # runs in another environment
 }
 
