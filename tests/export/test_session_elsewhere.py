@@ -17,7 +17,7 @@ from raden_torch.errors import InputError
 
 pytest.importorskip("onnxruntime")
 
-from raden_torch.export.session import ShaderSession
+from raden_torch.export.shader_session import ShaderSession
 
 UP = np.zeros((1, 3, 4, 5), np.float32) + np.array([0, 0, 1], np.float32)[:, None, None]
 MAPS = {"light": UP, "view": UP}

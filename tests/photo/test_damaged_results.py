@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from raden_torch.brdf.model.table import ReflectanceTable
 
 import raden_torch as rt
 from raden_torch.brdf.model.model import CosineDiffuse
+from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.capture.photo.camera import read_camera, read_poses
 from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.lamps import read_lamps
