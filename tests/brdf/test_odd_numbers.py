@@ -36,8 +36,14 @@ def model() -> rt.RadenBrdf:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: rt.GBuffer(UP, position=UP, camera=(math.nan, 0, 1)), "camera: expected three finite numbers"),
-        (lambda: rt.GBuffer(UP, position=UP, camera="abc"), "camera: expected three numbers, got 'abc'"),
+        (
+            lambda: rt.GBuffer(UP, position=UP, camera=(math.nan, 0, 1)),
+            "camera: expected three finite numbers",
+        ),
+        (
+            lambda: rt.GBuffer(UP, position=UP, camera="abc"),
+            "camera: expected three numbers, got 'abc'",
+        ),
         (lambda: rt.GBuffer(UP, view=(0, 0, 0)), "view: expected a direction .*, got zero"),
         (lambda: rt.DirectionalLight((1e300, 0, 1e300)), "single precision holds"),
         (lambda: rt.DirectionalLight((1e-300, 0, 0)), "single precision holds"),

@@ -54,7 +54,7 @@ def directional_albedo(model: RadenBrdf) -> dict[float, float]:
     """
     points, weights = np.polynomial.legendre.leggauss(_COSINES)
     cosine, weight = torch.from_numpy((points + 1) / 2), torch.from_numpy(weights / 2)
-    azimuth = 2 * torch.pi * (torch.arange(_AZIMUTHS, dtype=torch.float64) + 0.5) / _AZIMUTHS
+    azimuth = torch.from_numpy(2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS)
     sine = (1 - cosine**2).sqrt()[:, None]
     rows = (sine * azimuth.cos(), sine * azimuth.sin(), cosine[:, None].expand(-1, _AZIMUTHS))
     view = torch.stack(rows)[None]  # [1, 3, cosines, azimuths]
@@ -62,8 +62,8 @@ def directional_albedo(model: RadenBrdf) -> dict[float, float]:
     found = {}
     with torch.no_grad():
         for incidence in INCIDENCES_DEG:
-            a = torch.deg2rad(torch.tensor(incidence, dtype=torch.float64))
-            light = torch.stack([a.sin(), 0 * a, a.cos()]).view(1, 3, 1, 1)
+            a = np.deg2rad(incidence)
+            light = view.new_tensor([np.sin(a), 0.0, np.cos(a)]).view(1, 3, 1, 1)
             f = model(normal, light, view)
             total = (f * (cosine * weight)[:, None]).sum(dim=(2, 3)) * 2 * torch.pi / _AZIMUTHS
             found[incidence] = float(total.max())

@@ -112,7 +112,7 @@ def numbers(
     if not (fits and np.isfinite(array).all()):
         wanted = " x ".join("n" if n < 0 else str(n) for n in shape) or "one"
         raise InputError(
-            f"{path}: {key}: expected {wanted} finite numbers, got {reprlib.repr(found[key])}"
+            f"{path}: {key}: expected {wanted} finite numbers, got {reprlib.repr(found.get(key))}"
         )
     return array
 
