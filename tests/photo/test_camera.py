@@ -149,7 +149,7 @@ def test_boards_that_cannot_be(values: tuple, message: str) -> None:
 def test_camera_files_that_are_none(tmp_path: Path) -> None:
     for name, content, message in (
         ("a.json", "{}", "expected a camera file of `raden capture`, got another file"),
-        ("b.yml", "%YAML:1.0\n---\na: 1\n", "no camera_matrix"),
+        ("b.yml", "%YAML:1.0\n---\na: 1\n", "no whole camera_matrix"),
         ("c.yml", "\x00\x01", "expected an OpenCV calibration, got another file"),
     ):
         (tmp_path / name).write_text(content)
@@ -207,3 +207,35 @@ def test_terms_of_the_lens_that_cannot_be_told_from_0_are_left_out(
     found = calibrate(views).camera.distortion
     assert (found[1] != 0) == kept
     assert (found[2:4] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        ("cols: 3", "cols: -1"),
+        ("rows: 3", "rows: 2147483647"),
+        ("rows: 3", "rows: 1"),
+        ("cols: 3", "cols: many"),
+        ("2.0, 0.0, 5.0", "2.0, 0.0"),
+        ("data: [2.0", "data: [.inf"),
+    ],
+)
+def test_a_matrix_of_another_size_than_its_data_is_refused(
+    tmp_path: Path, damage: tuple[str, str]
+) -> None:
+    """OpenCV's own reader writes beyond its buffers."""
+    whole = (
+        "%YAML:1.0\n---\nimage_width: 20\nimage_height: 10\n"
+        "camera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n   dt: d\n"
+        "   data: [2.0, 0.0, 5.0, 0.0, 3.0, 4.0, 0.0, 0.0, 1.0]\n"
+        "distortion_coefficients: !!opencv-matrix\n   rows: 1\n   cols: 5\n   dt: d\n"
+        "   data: [0.1, 0.2, 0.0, 0.0, 0.3]\n"
+    )
+    path = tmp_path / "camera.yml"
+    path.write_text(whole)
+    camera = read_camera(path)
+    np.testing.assert_array_equal(camera.matrix, [[2, 0, 5], [0, 3, 4], [0, 0, 1]])
+    np.testing.assert_array_equal(camera.distortion, [0.1, 0.2, 0, 0, 0.3])
+    path.write_text(whole.replace(*damage))
+    with pytest.raises(InputError, match=r"camera\.yml: expected an? (whole )?OpenCV calibration"):
+        read_camera(path)

@@ -23,6 +23,7 @@ from raden_torch.errors import InputError
 
 _KIND = "camera"
 _MAX_OPENCV_BYTES = 10_000_000
+_MOST_COEFFICIENTS = 100
 _FEWEST_VIEWS = 3
 _GOOD_RMS_PX = 1.0
 _UNCERTAIN_FOCAL = 0.02
@@ -303,7 +304,7 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
         raise InputError(f"{path}: expected an OpenCV calibration, got another file") from None
     try:
         matrix, distortion = (
-            file.getNode(name).mat() for name in ("camera_matrix", "distortion_coefficients")
+            _matrix(file.getNode(name)) for name in ("camera_matrix", "distortion_coefficients")
         )
         width, height = (file.getNode(f"image_{side}").real() for side in ("width", "height"))
     except cv2.error:
@@ -312,17 +313,39 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
         ) from None
     finally:
         file.release()
-    known = matrix is not None and matrix.shape == (3, 3) and distortion is not None
-    if not known or not np.isfinite([width, height]).all():
+    if (
+        matrix is None
+        or matrix.shape != (3, 3)
+        or distortion is None
+        or not np.isfinite([width, height]).all()
+    ):
         raise InputError(
-            f"{path}: expected an OpenCV calibration, got no camera_matrix and "
+            f"{path}: expected an OpenCV calibration, got no whole camera_matrix and "
             "distortion_coefficients"
         )
     return Camera(
-        np.asarray(matrix, np.float64),
-        np.ravel(distortion).astype(np.float64),
+        matrix,
+        np.ravel(distortion),
         (int(height), int(width)),
     )
+
+
+def _matrix(node: Any) -> Floats | None:
+    """`[rows, cols]` of a matrix in an OpenCV file; None where it is not whole. OpenCV's own reader
+    writes beyond its buffers where rows or cols are not what `data` has."""
+    if node.empty() or not node.isMap():
+        return None
+    rows, cols, data = (node.getNode(name) for name in ("rows", "cols", "data"))
+    if data.empty() or not data.isSeq() or not 0 < data.size() <= _MOST_COEFFICIENTS:
+        return None
+    values = [data.at(i) for i in range(data.size())]
+    if not all(value.isReal() or value.isInt() for value in (rows, cols, *values)):
+        return None
+    found = np.array([value.real() for value in values], np.float64)
+    shape = rows.real(), cols.real()
+    if min(shape) < 1 or shape[0] * shape[1] != len(found) or not np.isfinite(found).all():
+        return None
+    return found.reshape(int(shape[0]), int(shape[1]))
 
 
 def _opencv_text(path: Path) -> str:
