@@ -168,7 +168,9 @@ def _valid_range(model: RadenBrdf) -> str:
     if model.table is None:
         return "all angles (diffuse formula, no table)"
     axes = zip(("incidence", "receiving", "tilt"), model.measured_box_deg, strict=True)
-    return ", ".join(f"{name} {first:g} to {last:g} deg" for name, (first, last) in axes)
+    box = ", ".join(f"{name} {first:g} to {last:g} deg" for name, (first, last) in axes)
+    derived = model.provenance.fit.get("assumption")
+    return f"{box}; partly derived, the sample assumed isotropic" if derived else box
 
 
 def _value_info(name: str, shape: tuple[int | str, ...], doc: str) -> onnx.ValueInfoProto:

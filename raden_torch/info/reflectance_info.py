@@ -79,7 +79,8 @@ def describe_model(model: RadenBrdf) -> str:
         box = ", ".join(f"{name} {low:g}…{high:g}" for name, (low, high) in axes)
         continued = about.fit.get("outside") == "continued"
         beyond = "what was measured is continued" if continued else "the diffuse part stands alone"
-        lines.append(f"measured: {box} deg; beyond, {beyond}")
+        how = "measured or derived (isotropic)" if about.fit.get("assumption") else "measured"
+        lines.append(f"{how}: {box} deg; beyond, {beyond}")
     if model.diffuse is not None:
         triple = lambda values: ", ".join(f"{v:.4g}" for v in values.tolist())  # noqa: E731
         lines.append(

@@ -46,9 +46,9 @@ class FitReport:
         diffuse_share: the diffuse part's share of the sum of all readings.
         interpolation, interpolation_why, interpolation_losses: see `interpolated_table.Choice`.
         assumption: what was assumed of the sample, and how far readings bear it out; may be empty.
-        hemisphere: which shares of all pairs of directions were measured, filled within the
-            measured box, and lie outside it.
-        box_deg: first and last measured incidence, receiving and tilt.
+        hemisphere: which shares of all pairs of directions were measured, filled or derived within
+            the table's box, and lie outside it.
+        box_deg: first and last incidence, receiving and tilt that were measured, or derived.
         outside: what stands there: "continued" or "diffuse".
         albedo: directional albedo by incidence in degrees, in its highest channel.
         warnings: one sentence each.
@@ -102,7 +102,9 @@ class FitReport:
         ]
         lines += [
             f"of all pairs of directions {_percent(self.hemisphere.measured)} were measured, "
-            f"{_percent(self.hemisphere.filled)} filled within the measured box, "
+            f"{_percent(self.hemisphere.filled)} "
+            + ("derived" if self.assumption else "filled")
+            + " within the table's box, "
             f"{_percent(self.hemisphere.outside)} lie outside it: {_OUTSIDE[self.outside]}",
             "directional albedo: "
             + ", ".join(f"{albedo:.3g} at {angle:g}" for angle, albedo in self.albedo.items())

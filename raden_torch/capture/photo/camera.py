@@ -6,6 +6,7 @@ projection. Board: x along its rows, y down its columns, z into it, origin at it
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from collections.abc import Collection, Sequence
@@ -331,21 +332,31 @@ def _opencv_camera(path: str | os.PathLike[str]) -> Camera:
 
 
 def _matrix(node: Any) -> Floats | None:
-    """`[rows, cols]` of a matrix in an OpenCV file; None where it is not whole. OpenCV's own reader
-    writes beyond its buffers where rows or cols are not what `data` has."""
+    """The array of a matrix in an OpenCV file (`rows` and `cols`, or `sizes`); None where it is not
+    whole. OpenCV's own reader writes beyond its buffers where these are not what `data` has."""
     if node.empty() or not node.isMap():
         return None
-    rows, cols, data = (node.getNode(name) for name in ("rows", "cols", "data"))
-    if data.empty() or not data.isSeq() or not 0 < data.size() <= _MOST_COEFFICIENTS:
+    data, sizes = node.getNode("data"), node.getNode("sizes")
+    if sizes.isSeq():
+        lengths = _numbers(sizes)
+    else:
+        lengths = [_number(node.getNode(name)) for name in ("rows", "cols")]
+    if not data.isSeq() or not 0 < data.size() <= _MOST_COEFFICIENTS:
         return None
-    values = [data.at(i) for i in range(data.size())]
-    if not all(value.isReal() or value.isInt() for value in (rows, cols, *values)):
+    values = np.array(_numbers(data))
+    shape = [int(n) for n in lengths if 1 <= n <= len(values)]
+    if len(shape) != len(lengths) or math.prod(shape) != len(values):
         return None
-    found = np.array([value.real() for value in values], np.float64)
-    shape = rows.real(), cols.real()
-    if min(shape) < 1 or shape[0] * shape[1] != len(found) or not np.isfinite(found).all():
-        return None
-    return found.reshape(int(shape[0]), int(shape[1]))
+    return values.reshape(shape) if np.isfinite(values).all() else None
+
+
+def _numbers(node: Any) -> list[float]:
+    return [_number(node.at(i)) for i in range(min(node.size(), _MOST_COEFFICIENTS))]
+
+
+def _number(node: Any) -> float:
+    """NaN for what is none."""
+    return float(node.real()) if node.isReal() or node.isInt() else float("nan")
 
 
 def _opencv_text(path: Path) -> str:
