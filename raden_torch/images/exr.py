@@ -29,6 +29,7 @@ MAX_VALUES = 2**29
 """The most values that are read at once, pixels times channels (2 GiB as float32)."""
 MAX_SIDE = 2**20
 """The most rows or columns of a file that is read or written by rows."""
+_LARGE, _SPARSE = 1 << 24, 4096  # a larger display window may not be emptier than this
 
 Parts = dict[str, dict[str, NDArray[np.float32]]]
 
@@ -285,6 +286,13 @@ def _check_header(where: str, header: Mapping[str, Any], by_rows: bool) -> int:
     if _overlap(header) is None:
         raise InputError(
             f"{where}: expected a data window that overlaps the display window, got one outside it"
+        )
+    data, display = _area(header["dataWindow"]), _area(header["displayWindow"])
+    if display > _LARGE and display > _SPARSE * data:
+        height, width = _size(header["displayWindow"])
+        raise InputError(
+            f"{where}: expected a data window of at least 1/{_SPARSE} of the display window, got "
+            f"{data} pixels in {width} x {height}"
         )
     return _area(header["dataWindow"], header["displayWindow"]) * len(names)
 

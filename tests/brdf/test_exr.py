@@ -559,3 +559,17 @@ def test_a_ball_is_relit_through_its_depth(shared, analytic):
     image = shaded(model, gbuffer, -1, 0, 1)
     assert float(image[..., :middle].sum()) > 1.5 * float(image[..., middle:].sum())
     assert float(image[0][:, ~there].sum()) == 0
+
+
+def test_a_small_file_may_not_claim_a_huge_empty_picture(tmp_path: Path) -> None:
+    path = tmp_path / "sparse.exr"
+    write_channels(path, {"Z": np.ones((48, 48), np.float32)})
+    data = path.read_bytes()
+    at = data.index(b"displayWindow\0box2i\0") + len(b"displayWindow\0box2i\0") + 4
+    for rows in (48, 4800, 524336):
+        window = struct.pack("<4i", 0, 0, 47, rows - 1)
+        path.write_bytes(data[:at] + window + data[at + 16 :])
+        if rows > 5000:
+            fails(path, "at least 1/4096 of the display window, got 2304 pixels in 48 x 524336")
+        else:
+            assert read_channels(path)["Z"].shape == (rows, 48)
