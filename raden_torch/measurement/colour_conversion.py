@@ -21,7 +21,13 @@ from raden_torch.colorimetry import (
     xyz_of_white,
 )
 from raden_torch.errors import InputError
-from raden_torch.measurement.readings import RGB, WHITE_LEVEL, XYZ, BrdfMeasurement
+from raden_torch.measurement.readings import (
+    FACTOR_PER_SR,
+    RGB,
+    WHITE_LEVEL,
+    XYZ,
+    BrdfMeasurement,
+)
 from raden_torch.packages import require
 
 _OBSERVERS = {  # as colour-science calls them
@@ -78,6 +84,16 @@ def xyz_to_rgb_matrix(white: str = "D65", observer: str = "CIE 1931 2 deg") -> F
     """
     source, srgb = xyz_of_white(_white_xy(white, observer)), xyz_of_white(WHITES_2_DEG["D65"])
     return np.asarray(XYZ_TO_SRGB @ bradford(source, srgb))
+
+
+def f_r_of_xyz(xyz: Floats) -> Floats:
+    """XYZ reflectance factors `[…, 3]` → f_r in 1/sr, linear RGB."""
+    return np.asarray(xyz @ xyz_to_rgb_matrix().T / FACTOR_PER_SR)
+
+
+def xyz_of_f_r(f_r: Floats) -> Floats:
+    """f_r in 1/sr, linear RGB `[…, 3]` → XYZ reflectance factors."""
+    return np.asarray(f_r @ np.linalg.inv(xyz_to_rgb_matrix()).T * FACTOR_PER_SR)
 
 
 def why_no_colour(measurement: BrdfMeasurement) -> str | None:

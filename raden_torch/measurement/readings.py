@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Floats, group_sums
 from raden_torch.errors import InputError
 from raden_torch.measurement.consistency import pair_contradicts
 from raden_torch.measurement.systematic_errors import SystematicErrors
@@ -257,8 +257,7 @@ class BrdfMeasurement:
         flat = np.ravel_multi_index(tuple(index.T), shape)[self.valid]
         weight = np.ones(len(self)) if self.count is None else np.maximum(self.count, 1.0)
         weight = weight[self.valid]
-        total = np.zeros((cells, len(self.channels)))
-        np.add.at(total, flat, self.values[self.valid] * weight[:, None])
+        total = group_sums(self.values[self.valid] * weight[:, None], flat, cells)
         seen = np.bincount(flat, weight, cells)
         with np.errstate(invalid="ignore"):
             values = total / seen[:, None]

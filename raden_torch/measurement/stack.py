@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Floats, group_sums
 from raden_torch.measurement.colour_conversion import matrix_to
 from raden_torch.measurement.compare import common_channels
 from raden_torch.measurement.error_parts import stated_variance
 from raden_torch.measurement.matching import geometries_deg
 from raden_torch.measurement.readings import BrdfMeasurement
-from raden_torch.reflectance.grid import DIGITS
+from raden_torch.reflectance.grid import distinct
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,7 @@ class Stack:
     def of(cls, measurements: Sequence[BrdfMeasurement]) -> Stack:
         channels = common_channels(tuple(measurements))
         kept = [m.select(m.valid) for m in measurements]
-        angles = np.concatenate([np.round(geometries_deg(m), DIGITS) + 0.0 for m in kept])
-        cells, cell = np.unique(angles, axis=0, return_inverse=True)
+        cells, cell = distinct(np.concatenate([geometries_deg(m) for m in kept]))
         values, variances = [], []
         for m in kept:
             matrix = matrix_to(m, channels)
@@ -45,7 +44,7 @@ class Stack:
         return cls(
             channels,
             cells,
-            cell.ravel(),
+            cell,
             np.repeat(np.arange(len(kept)), [len(m) for m in kept]),
             stacked,
             1.0 / np.maximum(variance, floor),
@@ -60,8 +59,7 @@ class Stack:
 
     def total(self, rows: Floats) -> Floats:
         """`[K, C]` sums over the readings of each cell."""
-        cells = len(self.angles)
-        return np.stack([np.bincount(self.cell, column, cells) for column in rows.T], axis=1)
+        return group_sums(rows, self.cell, len(self.angles))
 
     def rescaled(self, errors: Floats) -> tuple[Floats, Floats]:
         """`[N, C]` values and weights without these errors `[S]` of the scales."""

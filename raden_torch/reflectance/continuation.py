@@ -11,7 +11,7 @@ are differences, a constant is continued by itself and a scaled table, far above
 values; incidence and receiving share their weights, so what is reciprocal stays so.
 
 The W were learnt from real materials by `benchmarks/learn_continuation.py`, and stand in
-`continuation.json` ([decision 17](docs/decisions/0017-outside-the-box.md)).
+`continuation.json` (docs/decisions/0017-outside-the-box.md).
 """
 
 from __future__ import annotations
@@ -42,9 +42,7 @@ _GROWTH_DEG = 5.0  # within about this much
 _FARTHEST = 6.0  # d, in steps: no truth was farther from its box
 _SMALLEST_DEG = 50.0  # the smallest box that was learnt from
 _LARGEST_DEG = 70.0
-_HELD_TO_DEG = (
-    30.0  # a face nearer to 0 than this holds its value, one nearer than the above partly
-)
+_HELD_TO_DEG = 30.0  # a face nearer to 0 than this holds its value, one below the smallest partly
 _MOST = 2.0  # of the logarithm: how far a value may leave the range of those it is made of
 _HORIZON_DEG = 90.0
 _AT_ONCE = 100_000  # geometries: the memory that their differences take
@@ -66,21 +64,27 @@ class Continued:
 
     def __call__(self, angles_deg: Floats, channels: slice = slice(None)) -> Floats:
         """`[M, 3]` incidence, receiving, tilt in degrees → `[M, C]` reflectance factors ≥ 0."""
-        box = np.stack([self.inner.grid.low, self.inner.grid.high])
-        held = np.clip(angles_deg, *box)
+        held = np.clip(angles_deg, self.inner.grid.low, self.inner.grid.high)
         found = self.inner(held, channels)
-        out = ~self.inner.grid.contains(angles_deg)
-        q, nearest = angles_deg[out], found[out]
+        outside = np.flatnonzero(~self.inner.grid.contains(angles_deg))
+        for start in range(0, len(outside), _AT_ONCE):
+            rows = outside[start : start + _AT_ONCE]
+            logs = self._logs(angles_deg[rows], held[rows], found[rows], channels)
+            found[rows] = np.maximum(np.exp(logs) - FLOOR, 0)
+        return found
+
+    def _logs(self, q: Floats, held: Floats, nearest: Floats, channels: slice) -> Floats:
+        """log(ε + f) outside the box, of the nearest geometries in it and their values."""
+        box = np.stack([self.inner.grid.low, self.inner.grid.high])
         logs = np.log(FLOOR + nearest) + log_change(self.look, q, box)[:, channels]
         # within a step of the box a narrow ridge is followed as in it
-        near = np.maximum(1 - abs(q - held[out]) / self.inner.grid.step, 0).prod(axis=1)
+        near = np.maximum(1 - abs(q - held) / self.inner.grid.step, 0).prod(axis=1)
         beside = near > 0
-        along = held[out][beside]
+        along = held[beside]
         along[:, 1] = q[beside, 1]
         ridge = np.log(FLOOR + self.inner(along, channels))
         logs[beside] += near[beside, None] * (ridge - logs[beside])
-        found[out] = np.maximum(np.exp(logs) - FLOOR, 0)
-        return found
+        return np.asarray(logs)
 
 
 def continued(inner: Interpolant, values: Floats) -> Continued:
@@ -89,13 +93,14 @@ def continued(inner: Interpolant, values: Floats) -> Continued:
     Args:
         values: `[A, R, T, C]` reflectance factors at its nodes, without gaps.
     """
-    grid = inner.grid
-    longer = (
-        _longer(axis, low)
-        for axis, low in zip(grid, (0.0, -_HORIZON_DEG, -_HORIZON_DEG), strict=True)
-    )
-    look = look_into(grid, np.log(FLOOR + np.maximum(values, 0)))
-    return Continued(AngleGrid(*longer), inner, look)
+    look = look_into(inner.grid, np.log(FLOOR + np.maximum(values, 0)))
+    return Continued(to_horizon(inner.grid), inner, look)
+
+
+def to_horizon(grid: AngleGrid) -> AngleGrid:
+    """The grid continued on its steps to the horizon, or just beyond."""
+    lows = 0.0, -_HORIZON_DEG, -_HORIZON_DEG
+    return AngleGrid(*(_longer(axis, low) for axis, low in zip(grid, lows, strict=True)))
 
 
 def log_change(look: Look, angles_deg: Floats, low_high: Floats) -> Floats:
@@ -109,11 +114,10 @@ def log_change(look: Look, angles_deg: Floats, low_high: Floats) -> Floats:
     Returns:
         `[M, C]`.
     """
-    change = np.zeros_like(look(angles_deg))
-    least, most = np.zeros_like(change), np.zeros_like(change)
+    change, least, most = 0.0, 0.0, 0.0
     for face in faces(look, angles_deg, low_high):
         weights = face.basis @ learnt_weights()[face.kind].T
-        change += np.einsum("mk,mkc->mc", weights, face.differences)
+        change = change + np.einsum("mk,mkc->mc", weights, face.differences)
         lines = face.differences[:, : face.lines] * (face.basis[:, :1, None] > 0)
         least = np.minimum(least, lines.min(axis=1, initial=0))
         most = np.maximum(most, lines.max(axis=1, initial=0))
@@ -145,12 +149,11 @@ class Face:
 
 
 def faces(look: Look, angles_deg: Floats, low_high: Floats) -> tuple[Face, Face, Face]:
-    """The faces of incidence, receiving and tilt; arguments as in `logs_outside`."""
+    """The faces of incidence, receiving and tilt; arguments as in `log_change`."""
     q = np.clip(angles_deg, -_HORIZON_DEG, _HORIZON_DEG)
     held = np.clip(q, *low_high)
-    outward = (abs(q) > abs(held)) & (
-        q * held > 0
-    )  # else, as below the first incidence, it is held
+    # not outward, as below the first incidence: there the value is held
+    outward = (abs(q) > abs(held)) & (q * held > 0)
     beyond = np.where(outward, abs(q - held), 0.0)
     d = np.where(outward, abs(_growth(q) - _growth(held)) / _STEP_DEG, 0.0)
     trust = np.clip((abs(held) - _HELD_TO_DEG) / (_SMALLEST_DEG - _HELD_TO_DEG), 0, 1)

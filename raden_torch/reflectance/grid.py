@@ -14,6 +14,13 @@ DIGITS = 6
 """Decimals of a degree to which angles are rounded before they are compared."""
 
 
+def distinct(angles_deg: Floats) -> tuple[Floats, Ints]:
+    """`[K, D]`: each of the rows `[N, D]` once, sorted; `[N]`: which of them each row is."""
+    rows = np.round(angles_deg, DIGITS) + 0.0  # −0 becomes 0
+    found, index = np.unique(rows, axis=0, return_inverse=True)
+    return found, index.ravel()
+
+
 class AngleGrid(NamedTuple):
     """Three ascending axes in degrees, `[A]`, `[R]` and `[T]`.
 
@@ -72,7 +79,7 @@ class AngleGrid(NamedTuple):
     def part(self, smaller: AngleGrid) -> tuple[slice, slice, slice]:
         """Where the nodes of a smaller grid of the same steps lie in this one."""
         first = np.rint((smaller.low - self.low) / self.step).astype(int)
-        a, r, t = (slice(i, i + n) for i, n in zip(first, smaller.shape, strict=True))
+        a, r, t = (slice(int(i), int(i) + n) for i, n in zip(first, smaller.shape, strict=True))
         return a, r, t
 
     def every_second(self) -> AngleGrid:

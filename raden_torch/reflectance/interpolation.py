@@ -22,7 +22,7 @@ from raden_torch.reflectance.grid import SAME_DEG, AngleGrid
 from raden_torch.reflectance.kernels import Kernel, akima, linear
 from raden_torch.reflectance.lobes import Lobes, fit_lobes
 from raden_torch.reflectance.log_readings import FLOOR, LUMINANCE
-from raden_torch.reflectance.padding import PAD, continued
+from raden_torch.reflectance.padding import PAD, padded
 
 CAP = 1.5  # no value above this times the largest of the 27 nodes around it
 _LEAST_NODES = 5
@@ -90,7 +90,7 @@ class Interpolant:
 
 @dataclass(frozen=True)
 class _OnGrid:
-    """Interpolation in a continued grid `[A + 2·PAD, R + 2·PAD, T + 2·PAD, C]`."""
+    """Interpolation in a padded grid `[A + 2·PAD, R + 2·PAD, T + 2·PAD, C]`."""
 
     kernel: Kernel
     grid: Floats
@@ -129,8 +129,8 @@ def interpolate(grid: AngleGrid, values: Floats, scheme: str) -> Interpolant:
     if lobes is not None:
         what = what - lobes(*np.moveaxis(grid.nodes_deg(), -1, 0))[..., None]
     cap = CAP * maximum_filter(np.maximum(values, 0), (3, 3, 3, 1))
-    padded = continued(what, mirrored=grid.is_mirrored)
-    return Interpolant(grid, _OnGrid(chosen.kernel, padded), chosen.log, cap, lobes)
+    between = _OnGrid(chosen.kernel, padded(what, mirrored=grid.is_mirrored))
+    return Interpolant(grid, between, chosen.log, cap, lobes)
 
 
 def why_not(grid: AngleGrid) -> str | None:

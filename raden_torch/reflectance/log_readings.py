@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from raden_torch.arrays import Floats, Ints
-from raden_torch.reflectance.grid import DIGITS
+from raden_torch.arrays import Floats, Ints, group_sums
+from raden_torch.reflectance.grid import distinct
 from raden_torch.reflectance.kriging import Kriging
 from raden_torch.reflectance.symmetry import canonical
 
@@ -51,18 +51,16 @@ class LogReadings:
             std: `[M, 3]` of them, which becomes `noise`; 0 where there is none.
             count: `[M]`, the weight of each.
         """
-        rounded = np.round(canonical(angles_deg), DIGITS)
-        distinct, index = np.unique(rounded, axis=0, return_inverse=True)
-        index = index.ravel()
+        angles, index = distinct(canonical(angles_deg))
         weight = np.ones(len(xyz)) if count is None else np.maximum(count, 1.0)
         total = np.bincount(index, weight)
-        factors = np.stack([np.bincount(index, weight * c) for c in xyz.T], axis=1)
+        factors = group_sums(weight[:, None] * xyz, index, len(angles))
         logs = np.log(FLOOR + np.maximum(factors / total[:, None], _LOWEST))
         own = np.zeros(len(xyz)) if std is None else np.nan_to_num(std[:, LUMINANCE])
         variance = np.bincount(index, (weight * own) ** 2) / total**2
         spread = max(float(np.var(logs[:, LUMINANCE])), 1e-12)
         noise = variance / np.exp(2 * logs[:, LUMINANCE]) / spread
-        return cls(distinct, logs, noise, spread)
+        return cls(angles, logs, noise, spread)
 
     @classmethod
     def of_nodes(cls, angles_deg: Floats, xyz: Floats) -> LogReadings:

@@ -10,7 +10,7 @@ PAD = 3
 """Nodes added on every side: a six-value kernel needs two, and receiving may lie one outside."""
 
 
-def continued(values: Floats, *, mirrored: bool) -> Floats:
+def padded(values: Floats, *, mirrored: bool) -> Floats:
     """`[A, R, T, C]` → `[A + 2·PAD, R + 2·PAD, T + 2·PAD, C]`.
 
     Below incidence 0 the grid goes on into its equivalent, f(−a, r, t) = f(a, −r, −t), where

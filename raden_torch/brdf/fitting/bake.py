@@ -71,16 +71,16 @@ def bake(
 
 def _longer(pieces: Pieces, inner: AngleGrid, whole: AngleGrid) -> Pieces:
     """The pieces of a larger grid's cells: one, where the smaller grid has no cell."""
-    before = np.rint((inner.low - whole.low) / whole.step).astype(int)
-    after = np.rint((whole.high - inner.high) / whole.step).astype(int)
+    parts = whole.part(inner)
+    before = [part.start for part in parts]
+    after = [n - part.stop for n, part in zip(whole.shape, parts, strict=True)]
     along = (
         (before[0], after[0]),
         (before[1] + after[0], after[1] + before[0]),
         (before[2], after[2]),
     )
     a, across, t = (
-        (*(1,) * int(low), *cuts, *(1,) * int(high))
-        for cuts, (low, high) in zip(pieces, along, strict=True)
+        (*(1,) * low, *cuts, *(1,) * high) for cuts, (low, high) in zip(pieces, along, strict=True)
     )
     if whole.is_mirrored:  # at incidence 0, r − a runs over the last of its cells: alike both ways
         even = map(max, across[len(a) :], across[: len(a) - 1 : -1])

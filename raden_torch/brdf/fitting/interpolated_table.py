@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import numpy as np
 import torch
 
 from raden_torch.arrays import Floats
@@ -14,8 +13,7 @@ from raden_torch.brdf.fitting.tabulate import Tabulated
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
-from raden_torch.measurement.readings import FACTOR_PER_SR
+from raden_torch.measurement.colour_conversion import f_r_of_xyz, xyz_of_f_r
 from raden_torch.reflectance.continuation import continued
 from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.interpolation import SCHEMES, Interpolant, interpolate, why_not
@@ -70,7 +68,7 @@ def choose_interpolation(
         return Choice(wanted, "as asked for")
     if reason:
         return Choice("trilinear", f"the only one that supports this measurement: {reason}")
-    xyz = _xyz_factors(total)
+    xyz = xyz_of_f_r(total)
     if validation is not None:
         points, truth = _validation_points(table, validation)
         found = losses(_all_schemes(table, xyz), points, truth)
@@ -92,31 +90,21 @@ def make_table(table: Tabulated, total: Floats, scheme: str, outside: str) -> Re
     """
     if scheme == "trilinear" and outside == "diffuse":
         return _as_table(table.grid, total)
-    xyz = _xyz_factors(total)
+    xyz = xyz_of_f_r(total)
     function, like = _function(table, xyz, scheme)
     reaching = continued(function, xyz) if outside == "continued" else function
     if scheme == "trilinear":
-        values = _f_r(reaching(reaching.grid.nodes_deg().reshape(-1, 3)))
+        values = f_r_of_xyz(reaching(reaching.grid.nodes_deg().reshape(-1, 3)))
         whole = values.reshape(*reaching.grid.shape, 3)
         whole[reaching.grid.part(table.grid)] = total  # measured nodes to the bit
         return _as_table(reaching.grid, whole)
     baked = bake(reaching, like=like)
-    return _as_table(reaching.grid, _f_r(baked.values), baked.pieces)
+    return _as_table(reaching.grid, f_r_of_xyz(baked.values), baked.pieces)
 
 
 def _as_table(grid: AngleGrid, f_r: Floats, pieces: Pieces | None = None) -> ReflectanceTable:
     first, step = (tuple(values.tolist()) for values in (grid.low, grid.step))
     return ReflectanceTable(torch.from_numpy(f_r).float(), first, step, pieces)
-
-
-def _f_r(xyz: Floats) -> Floats:
-    """XYZ reflectance factors → f_r in linear RGB."""
-    return np.asarray(xyz @ xyz_to_rgb_matrix().T / FACTOR_PER_SR)
-
-
-def _xyz_factors(f_r: Floats) -> Floats:
-    """f_r in linear RGB → XYZ reflectance factors, which are never negative but for noise."""
-    return np.asarray(f_r @ np.linalg.inv(xyz_to_rgb_matrix()).T * FACTOR_PER_SR)
 
 
 def _all_schemes(table: Tabulated, xyz: Floats) -> Iterator[tuple[str, Interpolant]]:

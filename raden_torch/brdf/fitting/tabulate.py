@@ -9,7 +9,7 @@ import numpy as np
 from raden_torch.arrays import Bools, Floats
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
-from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from raden_torch.measurement.colour_conversion import f_r_of_xyz
 from raden_torch.measurement.opposite_tilts import with_opposite_tilts
 from raden_torch.measurement.readings import FACTOR_PER_SR, LEAST_COVERAGE, RGB
 from raden_torch.reflectance.gap_filling import fill
@@ -18,6 +18,8 @@ from raden_torch.reflectance.isotropic import GRID, derive
 from raden_torch.reflectance.log_readings import LogReadings
 from raden_torch.reflectance.scattered import nodes_read, on_grid, with_noise
 
+MAX_CELLS = 4_000_000
+"""In a table."""
 SCATTERED_STEP_DEG = 5.0
 """The table's step where the readings have no grid of their own: the paper's."""
 
@@ -25,8 +27,7 @@ _MOSTLY = 0.5
 """A grid of which less than this was measured is taken for scattered readings."""
 _ROUNDED_TO = (2, 1)
 """Decimals of a degree that angles beside a grid's nodes are rounded to, in this order."""
-_MAX_NODES = 361  # on one axis, and
-_MAX_CELLS = 4_000_000  # in the table
+_MAX_NODES = 361  # on one axis
 
 
 @dataclass(frozen=True)
@@ -90,7 +91,8 @@ def tabulate(measurement: BrdfMeasurement, assume: str | None = None) -> Tabulat
     table = None if _single_valued(both) else _tabulated(both)
     if table is None or table.without_neighbour.mean() > _MOSTLY:
         return _derived(measurement)
-    read = nodes_read(table.grid, np.rad2deg(np.stack(angles, axis=1)))
+    on_table = np.clip(rgb.angles_deg, table.grid.low, table.grid.high)  # encoders read past it
+    read = nodes_read(table.grid, on_table)
     return replace(
         table,
         measured=table.measured & read,
@@ -124,7 +126,7 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
             LogReadings.of(known.angles_deg, known.values, known.std, known.count)
         )
         xyz, measured, filled = on_grid(grid, scattered)
-        start = xyz @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
+        start = f_r_of_xyz(xyz)
         filled = replace(filled, values=start)
         warnings.append(_scattered_warning(rgb))
     else:
@@ -180,7 +182,7 @@ def _derived(measurement: BrdfMeasurement) -> Tabulated:
     rgb, angles = _readings(measurement)
     xyz = _valid_xyz(measurement)
     derived = derive(xyz.angles_deg, xyz.values, xyz.std, xyz.count)
-    values = derived.values @ xyz_to_rgb_matrix().T / FACTOR_PER_SR
+    values = f_r_of_xyz(derived.values)
     none = np.zeros_like(derived.measured)
     return Tabulated(
         grid=GRID,
@@ -275,9 +277,9 @@ def _uniform(grid: ReadingGrid) -> ReadingGrid | None:
         axes.append(axis[0] + step * np.arange(nodes))
         places.append(np.rint((axis - axis[0]) / step).astype(int))
     shape = tuple(len(axis) for axis in axes)
-    if np.prod(shape, dtype=np.float64) > _MAX_CELLS:
+    if np.prod(shape, dtype=np.float64) > MAX_CELLS:
         raise InputError(
-            f"measurement: expected a table of at most {_MAX_CELLS} nodes, got "
+            f"measurement: expected a table of at most {MAX_CELLS} nodes, got "
             f"{' x '.join(map(str, shape))}"
         )
     values = np.full((*shape, grid.values.shape[-1]), np.nan)

@@ -26,6 +26,7 @@ from raden_torch.capture.spectrometer.scan_plan import (
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.reflectance.grid import distinct
 from raden_torch.reflectance.symmetry import canonical
 
 BUDGET_SHARE = 0.4
@@ -214,9 +215,7 @@ def _without(cells: Floats, others: Floats) -> Floats:
 
 def _is_in(cells: Floats, others: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """`[M]`: which cells are among the others."""
-    rows = np.concatenate([others, cells])
-    _, index = np.unique(np.round(rows, _DIGITS) + 0.0, axis=0, return_inverse=True)
-    index = index.ravel()
+    _, index = distinct(np.concatenate([others, cells]))
     return np.isin(index[len(others) :], index[: len(others)])
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.arrays import Bools, Floats
+from raden_torch.arrays import Bools, Floats, group_sums
 from raden_torch.capture.spectrometer import contradictions
 from raden_torch.capture.spectrometer.journal import Header, JournalContents, Reference
 from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range, Target
@@ -435,9 +435,8 @@ def _share(time_s: Floats, at_s: Floats, counts: NDArray[np.int64]) -> Floats:
 
 def _mean(index: NDArray[np.intp], rows: Floats, cells: int) -> Floats:
     """`[cells, 3]` mean of the rows of each cell; NaN where it has none."""
-    total = np.stack([np.bincount(index, column, cells) for column in rows.T], axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(total / np.bincount(index, minlength=cells)[:, None])
+        return group_sums(rows, index, cells) / np.bincount(index, minlength=cells)[:, None]
 
 
 def _times(taken: list[TakenReading]) -> Floats:
