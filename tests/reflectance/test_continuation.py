@@ -10,6 +10,7 @@ import pytest
 
 import raden_torch as rt
 from raden_torch.arrays import Floats
+from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.continuation import FLOOR, continued, log_change, look_into
 from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.interpolation import interpolate
@@ -243,3 +244,15 @@ def test_the_function_goes_on_from_its_interpolant(scheme: str) -> None:
     )
     step = 1e-6 * np.random.default_rng(3).normal(size=q.shape)
     np.testing.assert_allclose(function(q + step), function(q), rtol=1e-3, atol=1e-3)
+
+
+def test_a_fine_grid_of_a_small_box_stays_small() -> None:
+    """On its steps, 0.25 degrees, a table to the horizon would have 188 million nodes."""
+    step = np.arange(-10, 10.01, 0.25)
+    angles = AngleGrid(np.arange(0, 10.01, 0.25), step, step).nodes_deg().reshape(-1, 3)
+    a, r, t = angles.T
+    y = 50 + 50 * np.exp(-(((r - a) / 3) ** 2) - (t / 3) ** 2)
+    result = rt.fit(BrdfMeasurement(a, r, t, y[:, None] * np.ones(3)), interpolation="trilinear")
+    assert result.model.table.values.shape == (41, 81, 81, 3)
+    assert result.report.outside == "diffuse"
+    assert any("361 x 721 x 721 nodes" in warning for warning in result.report.warnings)

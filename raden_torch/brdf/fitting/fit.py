@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -11,10 +12,11 @@ from raden_torch.arrays import Floats
 from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters, fit_diffuse
 from raden_torch.brdf.fitting.fit_report import FitReport, make_report
 from raden_torch.brdf.fitting.interpolated_table import choose_interpolation, make_table
-from raden_torch.brdf.fitting.tabulate import Tabulated, tabulate
+from raden_torch.brdf.fitting.tabulate import MAX_CELLS, Tabulated, tabulate
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.errors import InputError, check_type
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.reflectance.continuation import to_horizon
 
 OUTSIDE = ("continued", "diffuse")
 
@@ -51,7 +53,8 @@ def fit(
             on one side (tilt ≥ 0), in one plane or of one view suffice; see
             `reflectance.isotropic`. The report says what was measured and what follows.
         outside: what stands beyond the measured angles: "continued", what was measured continues
-            to the horizon (`reflectance.continuation`); "diffuse", the paper's rule, eq. (6) alone.
+            to the horizon (`reflectance.continuation`), unless so large a table would be too
+            large, which the report warns of; "diffuse", the paper's rule, eq. (6) alone.
 
     Returns:
         The model (float32, on the CPU) and a report.
@@ -66,6 +69,9 @@ def fit(
     if outside not in OUTSIDE:
         raise InputError(f"outside: expected {' or '.join(OUTSIDE)}, got {outside!r}")
     table = tabulate(measurement, assume)
+    if outside == "continued" and (size := _too_large(table)):
+        outside = "diffuse"
+        table = replace(table, warnings=(*table.warnings, size))
     parameters = diffuse or fit_diffuse(*_for_diffuse(table))
     part = _diffuse_part(parameters)
     total = _without_gaps(table, part)
@@ -79,6 +85,17 @@ def fit(
         meta.sample, meta.instrument, meta.simulated, measurement.sha256, report.as_dict()
     )
     return FitResult(model, report)
+
+
+def _too_large(table: Tabulated) -> str:
+    """What to warn of where a table that reaches to the horizon would be too large; else empty."""
+    shape = to_horizon(table.grid).shape
+    if math.prod(shape) <= MAX_CELLS:
+        return ""
+    return (
+        f"on its steps a table to the horizon has {' x '.join(map(str, shape))} nodes, more than "
+        f"{MAX_CELLS}: outside the measured box the diffuse part stands alone"
+    )
 
 
 def _for_diffuse(table: Tabulated) -> tuple[tuple[Floats, Floats, Floats], Floats]:
