@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,8 @@ class ShaderSession:
     def __init__(
         self, file: str | os.PathLike[str] | bytes, *, tile: int = TILE, threads: int = 0
     ) -> None:
-        check_type("ShaderSession tile", tile, int)
-        check_type("ShaderSession threads", threads, int)
+        check_type("ShaderSession tile", tile, (int, Integral))
+        check_type("ShaderSession threads", threads, (int, Integral))
         if tile < 1:
             raise InputError(f"ShaderSession: tile: expected at least 1 pixel, got {tile}")
         if threads < 0:

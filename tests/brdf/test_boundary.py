@@ -108,8 +108,29 @@ def test_a_lamp_below_the_horizon_is_said(model: rt.RadenBrdf) -> None:
         (lambda m: rt.shade(m, FLAT_SCENE, [LAMP], tolerance="x"), "tolerance: expected float"),
         (lambda m: rt.shade(m, FLAT_SCENE, [LAMP], tolerance=-1), "tolerance: expected a radiance"),
         (lambda m: rt.export_onnx("m.safetensors", "m.onnx"), "model: expected RadenBrdf, got str"),
+        (lambda m: rt.save_model(None, "m.safetensors"), "model: expected RadenBrdf, got NoneType"),
+        (
+            lambda m: rt.GBuffer(FLAT, view=(0.0, 0.0, 1.0), mask=np.ones((1, 1, 4, 5))),
+            r"GBuffer mask: expected Tensor, got ndarray; convert it by torch\.as_tensor",
+        ),
+        (lambda m: rt.GBuffer(FLAT, view=(0, 0, 1), mask=[1.0]), "mask: expected Tensor, got list"),
+        (
+            lambda m: rt.GBuffer.from_depth(torch.ones(1, 1, 4, 5), np.eye(3)),
+            "intrinsics: expected Tensor, got ndarray",
+        ),
+        (
+            lambda m: rt.GBuffer.from_depth([1.0], torch.eye(3)),
+            "depth: expected Tensor, got list",
+        ),
     ],
 )
 def test_another_type_is_named(model: rt.RadenBrdf, call, message: str) -> None:
     with pytest.raises(InputError, match=message):
         call(model)
+
+
+def test_numpy_numbers_are_numbers(model: rt.RadenBrdf) -> None:
+    with torch.no_grad():
+        expected = rt.shade(model, FLAT_SCENE, [LAMP], tolerance=0.25)
+        found = rt.shade(model, FLAT_SCENE, [LAMP], tolerance=np.float32(0.25))
+    assert torch.equal(found, expected)

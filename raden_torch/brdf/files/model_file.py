@@ -13,7 +13,7 @@ import torch
 
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 from raden_torch.files import check_output, check_seekable, written_beside
 
 FORMAT = "raden_torch model"
@@ -32,6 +32,7 @@ def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
     """
     from safetensors.torch import save
 
+    check_type("model", model, RadenBrdf, "fit(…).model is one")
     target = check_output(path, (".safetensors",))
     about = describe(model)
     tensors = {

@@ -11,7 +11,7 @@ from torch import Tensor
 from raden_torch import geometry
 from raden_torch.brdf.shading.depth import depth_kind, in_front, to_planar
 from raden_torch.brdf.shading.lights import Triple, as_map, checked
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +85,8 @@ class GBuffer:
         """
         from kornia.geometry.depth import depth_to_3d_v2, depth_to_normals
 
+        for name, given in (("depth", depth), ("intrinsics", intrinsics)):
+            check_type(name, given, Tensor, "convert it by torch.as_tensor(x)")
         if depth.ndim != 4 or depth.shape[1] != 1 or not depth.is_floating_point():
             raise InputError(
                 f"depth: expected floating-point [B, 1, H, W], got {depth.dtype} "
@@ -122,6 +124,7 @@ class GBuffer:
         return as_map(cast(Triple, self.camera), like) - cast(Tensor, self.position).to(like.dtype)
 
     def _check_mask(self, mask: Tensor) -> None:
+        check_type("GBuffer mask", mask, Tensor, "convert it by torch.as_tensor(x)")
         size = self.normal.shape
         fits = mask.ndim == 4 and mask.shape[1] == 1
         fits = fits and all(m in (1, n) for m, n in zip(mask.shape, size, strict=True))

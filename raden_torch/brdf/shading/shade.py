@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from numbers import Real
 from typing import Protocol, cast, get_args
 
 import torch
@@ -66,7 +67,7 @@ def shade(
     check_type("lights", lights, (Sequence, *_LIGHTS), "give a list of lights")
     lights = [lights] if isinstance(lights, Light) else list(lights)
     check_type("gbuffer", gbuffer, GBuffer, "make it by GBuffer(normal=…, view=…)")
-    check_type("tolerance", tolerance, (float, int))
+    check_type("tolerance", tolerance, (float, Real))
     if not 0 <= tolerance < float("inf"):
         raise InputError(f"tolerance: expected a radiance of 0 or more, got {tolerance}")
     for place, light in enumerate(lights):
