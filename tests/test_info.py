@@ -248,7 +248,27 @@ def tiff_of_two_pages(path: Path) -> None:
 
 
 def jpeg(path: Path) -> None:
-    Image.fromarray(np.full((24, 32, 3), 99, np.uint8)).save(path, format="jpeg")
+    _plain(path, "jpeg")
+
+
+def _plain(path: Path, form: str) -> None:
+    Image.fromarray(np.full((24, 32, 3), 99, np.uint8)).save(path, format=form)
+
+
+def bmp(path: Path) -> None:
+    _plain(path, "bmp")
+
+
+def gif(path: Path) -> None:
+    _plain(path, "gif")
+
+
+def webp(path: Path) -> None:
+    _plain(path, "webp")
+
+
+def ppm(path: Path) -> None:
+    _plain(path, "ppm")
 
 
 def hdr(path: Path) -> None:
@@ -366,6 +386,10 @@ FILES: dict[Callable[[Path], None], tuple[str, ...]] = {
     ),
     jpeg: ("JPEG image: 32 x 24", "RGB; 8 bits a channel"),
     hdr: ("Radiance HDR image: 32 x 24", "RGB; 32 bits a channel, floating point"),
+    bmp: ("BMP image: 32 x 24", "RGB; 8 bits a channel"),
+    gif: ("GIF image: 32 x 24", "RGB; 8 bits a channel"),
+    webp: ("WEBP image: 32 x 24", "RGB; 8 bits a channel"),
+    ppm: ("PPM image: 32 x 24", "RGB; 8 bits a channel"),
 }
 
 

@@ -12,7 +12,7 @@ from raden_torch.arrays import Floats
 from raden_torch.colorimetry import SRGB, bradford, primary_matrix, xyz_of_white
 from raden_torch.errors import InputError
 from raden_torch.images.header import ColourTags
-from raden_torch.images.icc import ICC_WHITE, Curve, IccProfile, UnknownProfile, parse_icc
+from raden_torch.images.icc import ICC_WHITE, Curve, IccProfile, UnknownProfile, parse_icc, power
 
 ADOBE_RGB = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290)
 """Adobe RGB (1998), whose curve is the power 563/256."""
@@ -138,9 +138,7 @@ def float_matrix(
 
 def srgb_curve(coded: Floats) -> Floats:
     """sRGB 0…1 → linear (IEC 61966-2-1)."""
-    return np.where(
-        coded <= 0.04045, coded / 12.92, ((np.maximum(coded, 0) + 0.055) / 1.055) ** 2.4
-    )
+    return np.where(coded <= 0.04045, coded / 12.92, power((coded + 0.055) / 1.055, 2.4))
 
 
 def _by_icc(data: bytes, path: str | os.PathLike[str]) -> ColourSpace:
@@ -175,7 +173,7 @@ def _from_xyz(to_xyz: Floats, white: Floats) -> Floats | None:
 
 
 def _gamma(exponent: float) -> Curve:
-    return lambda x: np.asarray(np.maximum(x, 0) ** exponent)
+    return lambda x: power(x, exponent)
 
 
 def _identity(x: Floats) -> Floats:

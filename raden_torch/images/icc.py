@@ -72,7 +72,7 @@ def _curve(tag: bytes) -> Curve:
             return lambda x: x
         if count == 1:
             gamma = float(table[0]) / 256
-            return lambda x: _power(x, gamma)
+            return lambda x: power(x, gamma)
         places = np.linspace(0, 1, count)
         return lambda x: np.interp(x, places, table / 65535)
     if tag[:4] == b"para":
@@ -85,11 +85,12 @@ def _curve(tag: bytes) -> Curve:
 def _parametric(kind: int, g: float, *numbers: Any) -> Curve:
     a, b, c, d, e, f = (*numbers, *(0.0,) * 6)[:6]
     if kind == 0:
-        return lambda x: _power(x, g)
+        return lambda x: power(x, g)
     if kind in (1, 2):  # c is an offset; below -b/a the curve is flat
-        return lambda x: _power(np.maximum(a * x + b, 0), g) + c
-    return lambda x: np.where(x >= d, _power(a * x + b, g) + e, c * x + f)
+        return lambda x: power(np.maximum(a * x + b, 0), g) + c
+    return lambda x: np.where(x >= d, power(a * x + b, g) + e, c * x + f)
 
 
-def _power(x: Floats, exponent: float) -> Floats:
+def power(x: Floats, exponent: float) -> Floats:
+    """x to the exponent; 0 below 0."""
     return np.asarray(np.maximum(x, 0) ** exponent)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +17,12 @@ if TYPE_CHECKING:
 _MOST_LAYERS = 40
 _TYPES = {"float16": "half", "float32": "float", "uint32": "uint"}
 _CHANNELS = {1: "grey", 2: "grey, alpha", 3: "RGB", 4: "RGB, alpha"}
-_IMAGES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"II*\0", b"MM\0*", b"#?RADIANCE", b"#?RGBE")
-"""How PNG, JPEG, TIFF and Radiance files begin."""
+_IMAGES = re.compile(
+    rb"\x89PNG\r\n\x1a\n|\xff\xd8\xff|II[*+]\0|MM\0[*+]|#\?(?:RADIANCE|RGBE)|GIF8|RIFF.{4}WEBP"
+    rb"|BM.{4}\0{4}|P[1-6]\s",
+    re.DOTALL,
+)
+"""How PNG, JPEG, TIFF, Radiance, GIF, WebP, BMP and PPM files begin."""
 
 
 def recognises_exr(head: bytes) -> bool:
@@ -94,7 +99,7 @@ def _gbuffer(file: ExrRows) -> str:
 
 
 def recognises_image(head: bytes) -> bool:
-    return head.startswith(_IMAGES)
+    return _IMAGES.match(head) is not None
 
 
 def describe_image(path: Path) -> str:

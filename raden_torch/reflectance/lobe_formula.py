@@ -20,9 +20,8 @@ def log_sum(
 ) -> Floats:
     """`[N]`: the formula at the head of `lobes.py`, at N places (s, u, t) with the hats of both
     kinds of knots, `[N, n]` and `[N, m]`."""
-    log_k, log_c, b, log_kappa = (shape_hats @ row for row in shape)
-    strength, scale, kappa = np.exp(log_k), np.exp(-2 * log_c), np.exp(log_kappa)
-    sign = np.where(s - u < 0, -1.0, 1.0)  # below incidence 0: (a, r, t) ≡ (−a, −r, −t)
+    strength, scale, kappa, b = _shape_at(shape, shape_hats)
+    sign = _side(s, u)
     z = np.full(np.shape(s), base)
     for row, (u0, t0) in zip(amplitude, centres, strict=True):
         q = ((u - sign * u0) ** 2 + kappa * (t - sign * t0) ** 2) * scale
@@ -42,9 +41,8 @@ def log_sum_slopes(
     shape_hats: Floats,
 ) -> Floats:
     """`[N, parameters]`: the derivative of `log_sum` by amplitudes, shape, centres and base."""
-    log_k, log_c, b, log_kappa = (shape_hats @ row for row in shape)
-    strength, scale, kappa = np.exp(log_k), np.exp(-2 * log_c), np.exp(log_kappa)
-    sign = np.where(s - u < 0, -1.0, 1.0)
+    strength, scale, kappa, b = _shape_at(shape, shape_hats)
+    sign = _side(s, u)
     z = log_sum(amplitude, shape, centres, base, s, u, t, amplitude_hats, shape_hats)
     by_amplitude, by_centre = [], []
     by_shape = np.zeros((4, len(s)))  # log k, log c, b, log κ
@@ -65,6 +63,17 @@ def log_sum_slopes(
         ],
         axis=1,
     )
+
+
+def _shape_at(shape: Floats, hats: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """k, 1/c², κ and b at each place, from their logarithms (b's own values) at the knots."""
+    log_k, log_c, b, log_kappa = (hats @ row for row in shape)
+    return np.exp(log_k), np.exp(-2 * log_c), np.exp(log_kappa), b
+
+
+def _side(s: Floats, u: Floats) -> Floats:
+    """−1 below incidence 0, where (a, r, t) ≡ (−a, −r, −t); else 1."""
+    return np.where(s - u < 0, -1.0, 1.0)
 
 
 def _barron_slopes(q: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
