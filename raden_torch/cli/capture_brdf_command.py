@@ -172,12 +172,16 @@ def brdf(
     picture: Picture = None,
 ) -> None:
     """Measure a BRDF: every lit pixel of a sphere, plane or cylinder is a reading."""
+    from raden_torch.capture.photo.brdf.capture_settings import (
+        CaptureSetup,
+        SampleSpec,
+        WhiteFactorSpec,
+        WhiteSpec,
+    )
     from raden_torch.capture.photo.brdf.chart_white import chart_white
     from raden_torch.capture.photo.brdf.photo_brdf_file import output_paths, write_brdf
     from raden_torch.capture.photo.brdf.photo_cells import CellGrid
-    from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
-    from raden_torch.capture.photo.brdf.sample import SampleSpec
-    from raden_torch.capture.photo.capture_brdf import CaptureSetup, capture_brdf
+    from raden_torch.capture.photo.capture_brdf import capture_brdf
     from raden_torch.capture.photo.development import Development
     from raden_torch.measurement import Metadata
     from raden_torch.plots.coverage_figure import draw_captured
@@ -206,7 +210,8 @@ def brdf(
         shape.value, mask, _corners("--region", region), radius, _corners("--axis", axis, 2)
     )
     patch, factor = chart_white(
-        colour if white_chart else None, white_factor, white_file, white_std, white_name
+        colour if white_chart else None,
+        WhiteFactorSpec(white_factor, white_file, white_std, white_name),
     )
     white = WhiteSpec(
         white_mask,

@@ -181,10 +181,8 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
 
 def sphere_setup(series: Series) -> dict[str, object]:
     """The arguments of `capture_brdf` for such a series."""
+    from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
     from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
-    from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
-    from raden_torch.capture.photo.brdf.sample import SampleSpec
-    from raden_torch.capture.photo.capture_brdf import CaptureSetup
     from raden_torch.capture.photo.development import Development
 
     return {
@@ -307,10 +305,8 @@ def board_series(tmp_path: Path) -> Callable[..., Series]:
 
 def board_setup(series: Series, *, rod: bool = False, axis: bool = True) -> dict[str, object]:
     """The arguments of `capture_brdf` for such a series."""
+    from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
     from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
-    from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
-    from raden_torch.capture.photo.brdf.sample import SampleSpec
-    from raden_torch.capture.photo.capture_brdf import CaptureSetup
     from raden_torch.capture.photo.development import Development
 
     sample = SampleSpec("plane", region_m=FLAT_M)

@@ -11,9 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
+from raden_torch.capture.photo.brdf.capture_settings import (
+    SampleSpec,
+    WhiteFactorSpec,
+    WhiteSpec,
+)
 from raden_torch.capture.photo.brdf.chart_white import chart_white
-from raden_torch.capture.photo.brdf.reference_place import WhiteSpec
-from raden_torch.capture.photo.brdf.sample import SampleSpec
 from raden_torch.capture.photo.capture_brdf import capture_brdf
 from raden_torch.errors import InputError
 
@@ -144,4 +147,4 @@ def test_shapes_that_lack_something(sphere: Any, board: Any) -> None:
 )
 def test_the_white_has_a_factor(factor: str, file: str, std: float, said: str) -> None:
     with pytest.raises(InputError, match=said):
-        chart_white(None, factor, None if file is None else Path(file), std)
+        chart_white(None, WhiteFactorSpec(factor, None if file is None else Path(file), std))

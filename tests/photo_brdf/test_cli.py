@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
 from raden_torch.capture.photo.brdf.chart_white import chart_white
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
@@ -96,12 +97,12 @@ def test_the_chart_s_white_patch_is_the_white(tmp_path: Path) -> None:
     said |= {"chart": "ColorChecker Classic, edition 2014"}
     said |= {"chart_corners_px": [[100, 50], [700, 50], [700, 450], [100, 450]]}
     colour.write_text(json.dumps(said))
-    corners, factor = chart_white(colour, None, None, 1.0)
+    corners, factor = chart_white(colour, WhiteFactorSpec(std_percent=1.0))
     assert corners is not None
     np.testing.assert_allclose(corners, [[120, 370], [180, 370], [180, 430], [120, 430]], atol=1e-3)
     assert 85 < factor.xyz[1] < 95
     assert factor.relative_std == pytest.approx(0.01)
-    _, stated = chart_white(colour, "90,94,101", None, 0.0)
+    _, stated = chart_white(colour, WhiteFactorSpec("90,94,101"))
     assert stated.xyz.tolist() == [90, 94, 101]
 
 

@@ -3,35 +3,39 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from raden_torch.capture.photo.brdf.accumulate import AccumulatedCells, accumulate
 from raden_torch.capture.photo.brdf.agreement import Agreement, agreement
-from raden_torch.capture.photo.brdf.cell_fit import RobustFit
+from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
+from raden_torch.capture.photo.brdf.cell_fit import robust_fit
 from raden_torch.capture.photo.brdf.coverage import Coverage, coverage
 from raden_torch.capture.photo.brdf.lighting import Lamp
-from raden_torch.capture.photo.brdf.movement import Edges, edges_near, moved, outline_of
-from raden_torch.capture.photo.brdf.node_colour import NodeColour, budget_of
-from raden_torch.capture.photo.brdf.photo_budget import PhotoBudget
+from raden_torch.capture.photo.brdf.movement import moved
+from raden_torch.capture.photo.brdf.node_colour import NodeColour
+from raden_torch.capture.photo.brdf.photo_budget import PhotoBudget, budget_of
 from raden_torch.capture.photo.brdf.photo_cells import CellGrid
-from raden_torch.capture.photo.brdf.photo_scene import CaptureSetup, Scene
-from raden_torch.capture.photo.brdf.photo_white import Scale, WhiteFactor, WhiteReading, read_white
-from raden_torch.capture.photo.brdf.rays import rays_through
-from raden_torch.capture.photo.brdf.reference_place import WhiteSpec, white_place
-from raden_torch.capture.photo.brdf.reservoir import Reservoir
-from raden_torch.capture.photo.brdf.sample import SampleSpec
-from raden_torch.capture.photo.brdf.series import Frame, Shot
+from raden_torch.capture.photo.brdf.photo_passes import (
+    AccumulatedCells,
+    PhotoView,
+    first_pass,
+    photo_views,
+    second_pass,
+)
+from raden_torch.capture.photo.brdf.photo_series import PhotoSeries, read_series
+from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
+from raden_torch.capture.photo.brdf.sample_shapes import Shape
+from raden_torch.capture.photo.brdf.seen_surface import normal_std_deg, seen_in_all
+from raden_torch.capture.photo.brdf.shots import Shot
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import LEAST_COVERAGE
 from raden_torch.measurement.systematic_errors import SystematicErrors
 
 Progress = Callable[[float], None]
-__all__ = ["CaptureSetup", "CapturedBrdf", "capture_brdf"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +91,7 @@ def capture_brdf(
     """Read the photographs of a series and put every lit pixel on the grid.
 
     Args:
+        grid: None: steps of 5 up to 70 degrees.
         go_on: warn instead of raising where the sample seems to have moved, or photographs
             contradict each other.
         progress: called with the share that is done, 0…1.
@@ -96,71 +101,78 @@ def capture_brdf(
             other beyond their uncertainty, or a coverage below 5 %. The message names the file.
     """
     grid = grid or CellGrid()
-    scene = Scene.of(photographs, setup, sample)
+    series = read_series(photographs, setup)
+    in_all = seen_in_all(series, sample)
 
-    outlines: list[Edges | None] = []
-    agreed: list[Agreement] = []
-    names = [shot.name for shot in scene.shots]
-    doubts = _Objections(go_on)
+    views = photo_views(series, sample, in_all)
+    first = first_pass(_reported(views, series, progress, 0.0), series, white, factor, grid)
+    fit = robust_fit(first.kept, grid)
+    lamp_std_deg = np.array([lamp.std_deg for lamp in series.lamps])
+    agreed = agreement(first.kept, fit, first.scale, grid, lamp_std_deg)
+    doubts = [moved(first.edges, series.names), agreed.contradiction(series.names)]
+    doubted = _raised_or_warned(doubts, go_on=go_on)
 
-    def look(k: int, frame: Frame) -> WhiteReading | None:
-        shot, seen = scene.shots[k], scene.see(k)
-        outlines.append(edges_near(frame.radiance, outline_of(seen, scene.size)))
-        there = white_place(white, scene.camera, shot.pose, scene.size, seen.middle, shot.name)
-        rays = rays_through(scene.camera, there.x_px, there.y_px)
-        return read_white(frame, there, rays, scene.lamps[k], seen.middle, factor)
-
-    def check(kept: Reservoir, fit: RobustFit, scale: Scale) -> None:
-        doubts.raise_or_note(moved(outlines, names))
-        std = np.array([lamp.std_deg for lamp in scene.lamps])
-        agreed.append(agreement(kept, fit, scale, grid, std))
-        doubts.raise_or_note(agreed[0].contradiction(names))
-
-    found = accumulate(
-        scene.shots, scene.lamps, scene.see, scene.read, look, grid, progress=progress, check=check
-    )
-    cover = _coverage(found, grid, scene)
-    if cover.share < LEAST_COVERAGE:
-        raise InputError(_too_little(cover, photographs))
+    views = photo_views(series, sample, in_all)
+    found = second_pass(_reported(views, series, progress, 0.5), first, fit, grid)
+    cover = _checked_coverage(found, grid, series, sample, first.shape)
     colour = NodeColour.of(setup.colour, found.scale)
     budget = budget_of(
         found,
         grid,
         colour,
-        lamp_std_deg=np.array([lamp.std_deg for lamp in scene.lamps]),
-        normal_std_deg=scene.normal_std_deg,
+        lamp_std_deg=lamp_std_deg,
+        normal_std_deg=normal_std_deg(in_all),
         scale_std=factor.relative_std,
     )
+    said = _metadata(metadata or Metadata(), sample, found, cover, factor)
     return CapturedBrdf(
-        measurement=_measurement(
-            found, grid, colour, budget, metadata or Metadata(), sample.shape, cover, factor
-        ),
+        measurement=_measurement(found, grid, colour, budget, said),
         budget=budget,
         found=found,
         grid=grid,
         shape=sample.shape,
-        shots=scene.shots,
-        lamps=scene.lamps,
-        agreement=agreed[0],
+        shots=series.shots,
+        lamps=series.lamps,
+        agreement=agreed,
         coverage=cover,
-        notes=(*found.scale.notes, *doubts.notes),
+        notes=(*found.scale.notes, *doubted),
     )
 
 
-@dataclass(eq=False)
-class _Objections:
-    """Objections to the photographs: each is an error, or with `go_on` a warning and a note."""
+def _reported(
+    views: Iterator[PhotoView], series: PhotoSeries, progress: Progress | None, start: float
+) -> Iterator[PhotoView]:
+    """The same, with half of the whole work reported as it is done."""
+    for view in views:
+        yield view
+        if progress is not None:
+            progress(start + 0.5 * (view.number + 1) / len(series.shots))
 
-    go_on: bool
-    notes: list[str] = field(default_factory=list)
 
-    def raise_or_note(self, doubt: str | None) -> None:
-        if doubt is None:
-            return
-        if not self.go_on:
+def _raised_or_warned(doubts: Sequence[str | None], *, go_on: bool) -> list[str]:
+    """The doubts there are: the first is an error, or with `go_on` all are warnings and notes."""
+    there = [doubt for doubt in doubts if doubt is not None]
+    for doubt in there:
+        if not go_on:
             raise InputError(f"{doubt} (or continue anyway: `go_on`)")
-        warnings.warn(doubt, stacklevel=4)
-        self.notes.append(doubt)
+        warnings.warn(doubt, stacklevel=3)
+    return there
+
+
+def _metadata(
+    given: Metadata,
+    sample: SampleSpec,
+    found: AccumulatedCells,
+    cover: Coverage,
+    white: WhiteFactor,
+) -> Metadata:
+    said = given.instrument or "camera"
+    return replace(
+        given,
+        systematic=SystematicErrors(scale_std=white.relative_std, scale_reference=white.name),
+        other=(*given.other, *_said_of(cover)),
+        instrument=f"{said}; photographs of a {sample.shape} under {len(found.shots)} lamps",
+    )
 
 
 def _measurement(
@@ -169,13 +181,9 @@ def _measurement(
     colour: NodeColour,
     budget: PhotoBudget,
     metadata: Metadata,
-    shape: str,
-    cover: Coverage,
-    white: WhiteFactor,
 ) -> BrdfMeasurement:
     incidence, receiving, tilt = grid.nodes_deg().T
     values = colour.factors(found.nodes.value)
-    said = metadata.instrument or "camera"
     return BrdfMeasurement(
         incidence,
         receiving,
@@ -185,32 +193,40 @@ def _measurement(
         std=budget.total,
         count=found.nodes.count,
         valid=np.asarray(np.isfinite(values).all(axis=1)),
-        metadata=replace(
-            metadata,
-            systematic=SystematicErrors(scale_std=white.relative_std, scale_reference=white.name),
-            other=(*metadata.other, *_said_of(cover)),
-            instrument=f"{said}; photographs of a {shape} under {len(found.shots)} lamps",
-        ),
+        metadata=metadata,
     )
 
 
-def _coverage(found: AccumulatedCells, grid: CellGrid, scene: Scene) -> Coverage:
-    """Of the grid, with a suggestion from where the first photograph was taken."""
-    shape, first = scene.shape_in(0), scene.lamps[0]
+def _checked_coverage(
+    found: AccumulatedCells, grid: CellGrid, series: PhotoSeries, sample: SampleSpec, shape: Shape
+) -> Coverage:
+    """Of the grid, with a suggestion from where the first photograph was taken.
+
+    Args:
+        shape: of the sample, in the frame of the first photograph's camera.
+
+    Raises:
+        InputError: too little for a measurement.
+    """
+    lamp = series.lamps[0]
     distance = None
-    if first.position is not None:
-        distance = float(np.linalg.norm(first.position - shape.middle))
+    if lamp.position is not None:
+        distance = float(np.linalg.norm(lamp.position - shape.middle))
     covered = np.asarray(np.isfinite(found.nodes.value).all(axis=1))
-    pose = scene.shots[0].pose if scene.moves else None
-    return coverage(covered, grid, shape, scene.camera, pose, distance)
+    pose = series.shots[0].pose if sample.lies_on_board else None
+    cover = coverage(covered, grid, shape, series.camera, pose, distance)
+    if cover.share < LEAST_COVERAGE:
+        raise InputError(_too_little(cover, series))
+    return cover
 
 
-def _too_little(cover: Coverage, photographs: Sequence[Path]) -> str:
+def _too_little(cover: Coverage, series: PhotoSeries) -> str:
     advice = "; ".join(f"{s.text} ({s.gain} more cells)" for s in cover.next[:3]) or (
         "nothing near these lamps; another shape or camera"
     )
+    files = [file for shot in series.shots for file in shot.files]
     return (
-        f"{photographs[0]} … {photographs[-1].name}: expected readings in at least "
+        f"{files[0]} … {files[-1].name}: expected readings in at least "
         f"{100 * LEAST_COVERAGE:g} % of the grid, got {100 * cover.share:.1f} %. What would help "
         f"most: {advice}"
     )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Floats
+from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
 from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
 from raden_torch.capture.photo.chart import PATCH_NAMES, reference_xyz
 from raden_torch.capture.photo.result_file import numbers, read_result
@@ -19,39 +20,31 @@ _MEASURED = 0.6
 _MOST = 300.0
 
 
-def chart_white(
-    colour: Path | None, factor: str | None, file: Path | None, std_percent: float, name: str = ""
-) -> tuple[Floats | None, WhiteFactor]:
+def chart_white(colour: Path | None, said: WhiteFactorSpec) -> tuple[Floats | None, WhiteFactor]:
     """The corners of a chart's white patch `[4, 2]` in pixels, and how much the white reflects.
 
     Args:
         colour: a colour file whose photograph had the chart where these have it; None: the white
             is elsewhere.
-        factor: "98.5", or "X,Y,Z"; None: the file's, or the chart's own.
-        std_percent: standard uncertainty of the factor.
-        name: of the reference, as its certificate has it.
+        said: of the factor; where it holds none, the chart's own is taken.
 
     Raises:
-        InputError: no factor, two, or one that no white has.
+        InputError: no factor, or one that no white has.
     """
-    if not 0 <= std_percent < 100:
-        raise InputError(f"white: standard uncertainty: expected 0…100 %, got {std_percent} %")
-    relative = std_percent / 100
-    if factor is not None and file is not None:
-        raise InputError("white: expected a factor or a file, got both")
+    relative = said.std_percent / 100
     corners, edition = (None, None) if colour is None else _patch(colour)
-    if file is not None:
-        if not file.is_file():
-            raise InputError(f"{file}: expected a measurement of the white, got no such file")
-        return corners, WhiteFactor(D65_XYZ, file, relative, name)
-    if factor is not None:
-        return corners, WhiteFactor(_xyz(factor), None, relative, name)
+    if said.file is not None:
+        if not said.file.is_file():
+            raise InputError(f"{said.file}: expected a measurement of the white, got no such file")
+        return corners, WhiteFactor(D65_XYZ, said.file, relative, said.name)
+    if said.factor is not None:
+        return corners, WhiteFactor(_xyz(said.factor), None, relative, said.name)
     if edition is None:
         raise InputError(
             "white: expected its reflectance factor, got none: give `white_factor` (the perfect "
             "diffuser is 100), or `white_file`, a measurement of it"
         )
-    return corners, WhiteFactor(100 * reference_xyz(edition)[_WHITE], None, relative, name)
+    return corners, WhiteFactor(100 * reference_xyz(edition)[_WHITE], None, relative, said.name)
 
 
 def _patch(path: str | os.PathLike[str]) -> tuple[Floats, str]:

@@ -17,7 +17,7 @@ from raden_torch.capture.photo.brdf.photo_angles import angles_deg
 from raden_torch.capture.photo.brdf.photo_cells import CellGrid
 from raden_torch.capture.photo.brdf.rays import Y_UP
 from raden_torch.capture.photo.brdf.sample_shapes import Shape, fibonacci_sphere
-from raden_torch.capture.photo.brdf.samples import LEAST_COSINE
+from raden_torch.capture.photo.brdf.seen_surface import LEAST_COSINE
 from raden_torch.capture.photo.camera import Camera, Pose
 
 _LAMPS, _CAMERAS = 500, 60

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from raden_torch.arrays import Floats
+from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
 from raden_torch.capture.photo.brdf.rays import MM, Y_UP
-from raden_torch.capture.photo.brdf.series import Shot
+from raden_torch.capture.photo.brdf.shots import Shot
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.errors import InputError
@@ -50,18 +50,17 @@ def lamps_of_shots(
     lamps: Lamps,
     shots: Sequence[Shot],
     camera: Camera | None,
-    lights: Path,
-    *,
-    seen_in: Pose | None = None,
-    std_deg: float | None = None,
+    setup: CaptureSetup,
+    seen_in: Pose | None,
 ) -> list[Lamp]:
     """Each shot's lamp, in the frame of its camera.
 
     Args:
+        lamps: those of the lights file.
+        setup: its `lights` is named in messages.
         seen_in: the pose of the board in the photograph in whose frame the lights file is, where
             the lamps stand still beside the board and the camera moves; None: they stand still
             beside the camera.
-        std_deg: of the directions; None: `LAMP_STD_DEG`.
 
     Raises:
         InputError: positions in another unit than the camera's, or a shot without a pose.
@@ -69,20 +68,20 @@ def lamps_of_shots(
     unit = "px" if camera is None else "mm"
     if lamps.position is not None and lamps.unit != unit:
         raise InputError(
-            f"{lights}: its lamps' positions are in {lamps.unit}; "
+            f"{setup.lights}: its lamps' positions are in {lamps.unit}; "
             + (
                 "give the camera file"
                 if camera is None
                 else "find them with `raden capture lights --camera`"
             )
         )
+    std_deg = LAMP_STD_DEG if setup.lamp_std_deg is None else setup.lamp_std_deg
     found = []
     for shot in shots:
         k = shot.lamp
         rgb = lamps.intensity[k] * (np.ones(3) if lamps.tint is None else lamps.tint[k])
         direction = lamps.direction[k]
         position = None if lamps.position is None else lamps.position[k]
-        spread = LAMP_STD_DEG if std_deg is None else std_deg
         if seen_in is not None:
             if shot.pose is None:
                 raise InputError(
@@ -91,7 +90,7 @@ def lamps_of_shots(
                 )
             direction = _moved(direction, seen_in, shot.pose, point=False)
             position = None if position is None else _moved(position, seen_in, shot.pose)
-        found.append(Lamp(direction, position, rgb, spread))
+        found.append(Lamp(direction, position, rgb, std_deg))
     return found
 
 

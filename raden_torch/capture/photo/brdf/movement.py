@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.brdf.sample import MARGIN_PX
-from raden_torch.capture.photo.brdf.samples import SeenSurface
+from raden_torch.capture.photo.brdf.pixel_regions import MARGIN_PX
+from raden_torch.capture.photo.brdf.seen_surface import SeenSurface
 
 LIMIT_PX = 1.2
 """More than this from where it is in most photographs, and four standard errors, has moved."""

@@ -1,4 +1,4 @@
-"""Node values relative to the white, in camera RGB → reflectance factors, and their budget."""
+"""Node values relative to the white, in camera RGB → reflectance factors."""
 
 from __future__ import annotations
 
@@ -8,14 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.brdf.accumulate import AccumulatedCells
-from raden_torch.capture.photo.brdf.photo_budget import (
-    PhotoBudget,
-    of_geometry,
-    relative_colour,
-    relative_white,
-)
-from raden_torch.capture.photo.brdf.photo_cells import CellGrid
 from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.capture.photo.colour import ColourCorrection, read_colour
 from raden_torch.capture.photo.result_file import read_result
@@ -87,42 +79,3 @@ class NodeColour:
             for c in range(3)
         ]
         return np.stack(columns, axis=2)
-
-
-def budget_of(
-    found: AccumulatedCells,
-    grid: CellGrid,
-    colour: NodeColour,
-    *,
-    lamp_std_deg: Floats,
-    normal_std_deg: float,
-    scale_std: float,
-) -> PhotoBudget:
-    """The terms of every cell, in the channels of the result.
-
-    Args:
-        lamp_std_deg: `[K]` of the lamps' directions.
-        normal_std_deg: of the sample's normals.
-        scale_std: of the white's reflectance factor, relative.
-    """
-    nodes = found.nodes
-    slopes = colour.slopes(nodes.value)
-    factors = colour.factors(nodes.value)
-    share = found.shots / np.maximum(found.shots.sum(axis=0), 1)
-
-    def apart(term: Floats) -> Floats:  # the channels' errors are independent
-        return np.sqrt(np.einsum("mkc,mc->mk", slopes**2, term**2))
-
-    def together(term: Floats) -> Floats:  # one error in all channels
-        return np.asarray(abs(np.einsum("mkc,mc->mk", slopes, term)))
-
-    luminance = factors[:, 1] if colour.correction else factors.mean(axis=1)
-    of_colour = relative_colour(luminance, colour.left_out_delta_e)[:, None]
-    return PhotoBudget(
-        noise=apart(nodes.noise),
-        place=together(nodes.place),
-        white=apart(abs(nodes.value) * relative_white(share, found.scale)),
-        geometry=together(of_geometry(nodes, grid, share, lamp_std_deg, normal_std_deg)),
-        colour=abs(factors) * of_colour,
-        scale=abs(factors) * scale_std,
-    )

@@ -25,7 +25,9 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.cell_sums import NodeValues
+from raden_torch.capture.photo.brdf.node_colour import NodeColour
 from raden_torch.capture.photo.brdf.photo_cells import CellGrid
+from raden_torch.capture.photo.brdf.photo_passes import AccumulatedCells
 from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.measurement.budget_terms import BudgetTerms
 
@@ -45,6 +47,50 @@ class PhotoBudget(BudgetTerms):
     white: Floats
     geometry: Floats
     colour: Floats
+
+
+def budget_of(
+    found: AccumulatedCells,
+    grid: CellGrid,
+    colour: NodeColour,
+    *,
+    lamp_std_deg: Floats,
+    normal_std_deg: float,
+    scale_std: float,
+) -> PhotoBudget:
+    """The terms of every cell, in the channels of the result.
+
+    Args:
+        lamp_std_deg: `[K]` of the lamps' directions.
+        normal_std_deg: of the sample's normals.
+        scale_std: of the white's reflectance factor, relative.
+    """
+    nodes = found.nodes
+    slopes = colour.slopes(nodes.value)
+    factors = colour.factors(nodes.value)
+    share = found.shots / np.maximum(found.shots.sum(axis=0), 1)
+    luminance = factors[:, 1] if colour.correction else factors.mean(axis=1)
+    of_colour = relative_colour(luminance, colour.left_out_delta_e)[:, None]
+    of_white = abs(nodes.value) * relative_white(share, found.scale)
+    geometry = of_geometry(nodes, grid, share, lamp_std_deg, normal_std_deg)
+    return PhotoBudget(
+        noise=_independent(slopes, nodes.noise),
+        place=_common(slopes, nodes.place),
+        white=_independent(slopes, of_white),
+        geometry=_common(slopes, geometry),
+        colour=abs(factors) * of_colour,
+        scale=abs(factors) * scale_std,
+    )
+
+
+def _independent(slopes: Floats, term: Floats) -> Floats:
+    """`[M, 3]` of the factors, where the camera's channels have independent errors."""
+    return np.sqrt(np.einsum("mkc,mc->mk", slopes**2, term**2))
+
+
+def _common(slopes: Floats, term: Floats) -> Floats:
+    """`[M, 3]` of the factors, where one error is in all of the camera's channels."""
+    return np.asarray(abs(np.einsum("mkc,mc->mk", slopes, term)))
 
 
 def direction_slopes(value: Floats, slope: Floats, nodes_deg: Floats) -> Floats:

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.lighting import Lamp
 from raden_torch.capture.photo.brdf.photo_angles import angles_deg
+from raden_torch.capture.photo.brdf.photo_series import Frame
 from raden_torch.capture.photo.brdf.rays import Rays
 from raden_torch.capture.photo.brdf.sample_shapes import Plane
-from raden_torch.capture.photo.brdf.series import Frame
 from raden_torch.errors import InputError
 
 D65_XYZ = np.array([95.047, 100.0, 108.883])

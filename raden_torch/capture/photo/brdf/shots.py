@@ -1,4 +1,4 @@
-"""The photographs of a series: which files, lamp and pose of the board; read one by one."""
+"""The photographs of a series, before they are read: which files, lamp and pose of the board."""
 
 from __future__ import annotations
 
@@ -6,17 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
 from raden_torch.capture.photo.camera import Pose
-from raden_torch.capture.photo.development import Development, developed
-from raden_torch.capture.photo.exposures import CEILING, unsaturated
+from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.capture.photo.photo_set import lamp_numbers
 from raden_torch.errors import InputError
-
-_MOST_PIXELS = 400_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,82 +35,34 @@ class Shot:
         return self.files[0].name
 
 
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """A shot that was read.
-
-    Attributes:
-        radiance: `[H, W, 3]` linear, relative to the white level, per second where times are known.
-        usable: `[H, W]`: not saturated, nor beside a saturated pixel.
-        timed: the unit is per second.
-    """
-
-    radiance: NDArray[np.float32]
-    usable: NDArray[np.bool_]
-    timed: bool
-
-    @property
-    def size(self) -> tuple[int, int]:
-        height, width = self.usable.shape
-        return height, width
-
-
-def series(
-    files: Sequence[Path],
-    lamps: Lamps,
-    lights: Path,
-    *,
-    stack: int = 1,
-    numbers: Sequence[int] = (),
-    poses: Mapping[str, Pose] | None = None,
-    how: Development | None = None,
+def shots_of(
+    files: Sequence[Path], setup: CaptureSetup, lamps: Lamps, poses: Mapping[str, Pose]
 ) -> list[Shot]:
-    """Tell the files apart: photograph k under lamp k, or under `numbers[k]`.
+    """Tell the files apart: photograph k under lamp k, or under the one that `setup` says.
 
     Args:
-        lights: the lights file, for messages.
-        stack: how many files one after another are one view at several exposures.
-        numbers: of each photograph's lamp, from 1; empty where photograph k has lamp k.
+        setup: with exposure times for each file, for those of one stack, or none.
+        lamps: those of its lights file.
         poses: of the board, by file name; one alone serves all photographs; photographs without
             one have None.
-        how: with exposure times for each file, for those of one stack, or none.
 
     Raises:
         InputError: numbers that do not fit, a lamp that is not in the list.
     """
     if not files:
         raise InputError("photographs: expected one per lamp, got none")
+    stack = setup.stack
     if stack < 1 or len(files) % stack:
         raise InputError(
             f"{files[-1]}: expected a whole number of stacks of {stack}, got {len(files)} files"
         )
     groups = [tuple(files[i : i + stack]) for i in range(0, len(files), stack)]
-    chosen = _lamps(groups, lamps, lights, numbers)
-    ways = _ways(groups, how or Development())
+    chosen = _lamps(groups, lamps, setup.lights, setup.lamps)
+    ways = _ways(groups, setup.development)
     return [
         Shot(group, lamp, _pose(group, poses), way)
         for group, lamp, way in zip(groups, chosen, ways, strict=True)
     ]
-
-
-def read_shot(shot: Shot, exponent: float = 1.0) -> Frame:
-    """Develop a shot's files.
-
-    Args:
-        exponent: of the camera's response, as the lights file says.
-
-    Raises:
-        InputError: as for `developed`, and a photograph that is too large.
-    """
-    photo, merged = developed(shot.files, shot.how)
-    if photo.saturated.size > _MOST_PIXELS:
-        raise InputError(f"{shot.files[0]}: over {_MOST_PIXELS // 10**6} million pixels; crop it")
-    linear = photo.linear if exponent == 1 else np.maximum(photo.linear, 0) ** exponent
-    usable = unsaturated(photo, CEILING)
-    if merged is None and photo.exposure_s is not None:
-        linear = linear / np.float32(photo.exposure_s)
-    timed = merged is not None or photo.exposure_s is not None
-    return Frame(np.asarray(linear, np.float32), usable, timed)
 
 
 def _lamps(
@@ -175,7 +122,7 @@ def _ways(groups: Sequence[tuple[Path, ...]], how: Development) -> list[Developm
     return [replace(how, exposures_s=times[i * size : (i + 1) * size]) for i in range(len(groups))]
 
 
-def _pose(group: tuple[Path, ...], poses: Mapping[str, Pose] | None) -> Pose | None:
+def _pose(group: tuple[Path, ...], poses: Mapping[str, Pose]) -> Pose | None:
     """The pose in the photograph itself; one alone in the file serves all, as nothing moves."""
     if not poses:
         return None

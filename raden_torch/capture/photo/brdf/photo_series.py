@@ -1,0 +1,155 @@
+"""The files of a series → its shots, lamps and camera; then its photographs in linear light."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
+from raden_torch.capture.photo.brdf.lighting import Lamp, lamps_of_shots
+from raden_torch.capture.photo.brdf.shots import Shot, shots_of
+from raden_torch.capture.photo.camera import Camera, Pose, read_camera, read_poses
+from raden_torch.capture.photo.development import developed
+from raden_torch.capture.photo.exposures import CEILING, unsaturated
+from raden_torch.capture.photo.lamps import read_lamps
+from raden_torch.capture.photo.result_file import read_result
+from raden_torch.errors import InputError
+
+_MOST_PIXELS = 400_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoSeries:
+    """Photographs that are not read yet, and what they have in common.
+
+    Attributes:
+        shots: one a view and lamp.
+        lamps: of each shot, in the frame of its camera.
+        camera: None where it is far away.
+        exponent: of the camera's response, as the lights file says; 1 where it is linear.
+        size: height and width of every photograph.
+    """
+
+    shots: list[Shot]
+    lamps: list[Lamp]
+    camera: Camera | None
+    exponent: float
+    size: tuple[int, int]
+
+    @property
+    def names(self) -> list[str]:
+        return [shot.name for shot in self.shots]
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A shot that was read.
+
+    Attributes:
+        radiance: `[H, W, 3]` linear, relative to the white level, per second where times are known.
+        usable: `[H, W]`: not saturated, nor beside a saturated pixel.
+        timed: the unit is per second.
+    """
+
+    radiance: NDArray[np.float32]
+    usable: NDArray[np.bool_]
+    timed: bool
+
+    @property
+    def size(self) -> tuple[int, int]:
+        height, width = self.usable.shape
+        return height, width
+
+
+def read_series(photographs: Sequence[Path], setup: CaptureSetup) -> PhotoSeries:
+    """Tell the photographs apart by the files of the earlier steps; read the first for its size.
+
+    Raises:
+        InputError: files, numbers of lamps, poses or sizes that do not fit together.
+    """
+    lamps = read_lamps(setup.lights)
+    camera = None if setup.camera is None else read_camera(setup.camera)
+    poses = _poses(setup.camera)
+    shots = shots_of(photographs, setup, lamps, poses)
+    of_shots = lamps_of_shots(lamps, shots, camera, setup, _seen_in(setup, poses))
+    size = read_frame(shots[0]).size
+    if camera is not None and camera.size != size:
+        (h, w), (height, width) = camera.size, size
+        raise InputError(
+            f"{setup.camera}: expected the camera that took the photographs, at their size of "
+            f"{width} x {height} pixels, got one of {w} x {h}"
+        )
+    return PhotoSeries(shots, of_shots, camera, lamps.exponent, size)
+
+
+def linear_frames(series: PhotoSeries) -> Iterator[Frame]:
+    """The photographs in linear light, one after another.
+
+    Raises:
+        InputError: as for `read_frame`; another size than the first's; exposure times for some
+            only.
+    """
+    first = series.shots[0]
+    timed = None
+    for shot in series.shots:
+        frame = read_frame(shot, series.exponent)
+        if frame.size != series.size:
+            (h, w), (height, width) = series.size, frame.size
+            raise InputError(
+                f"{shot.files[0]}: expected photographs of one size, got {width} x {height} "
+                f"pixels, but {first.name} has {w} x {h}"
+            )
+        timed = frame.timed if timed is None else timed
+        if frame.timed != timed:
+            raise InputError(
+                f"{shot.files[0]}: {'an' if frame.timed else 'no'} exposure time, but "
+                f"{first.name} has {'one' if timed else 'none'}; state them for all"
+            )
+        yield frame
+
+
+def read_frame(shot: Shot, exponent: float = 1.0) -> Frame:
+    """Develop a shot's files.
+
+    Args:
+        exponent: of the camera's response.
+
+    Raises:
+        InputError: as for `developed`, and a photograph that is too large.
+    """
+    photo, merged = developed(shot.files, shot.how)
+    if photo.saturated.size > _MOST_PIXELS:
+        raise InputError(f"{shot.files[0]}: over {_MOST_PIXELS // 10**6} million pixels; crop it")
+    linear = photo.linear if exponent == 1 else np.maximum(photo.linear, 0) ** exponent
+    usable = unsaturated(photo, CEILING)
+    if merged is None and photo.exposure_s is not None:
+        linear = linear / np.float32(photo.exposure_s)
+    timed = merged is not None or photo.exposure_s is not None
+    return Frame(np.asarray(linear, np.float32), usable, timed)
+
+
+def _poses(path: Path | None) -> dict[str, Pose]:
+    """The board's poses in a camera file; none in an OpenCV file, or one without a board."""
+    if (
+        path is None
+        or path.suffix.lower() != ".json"
+        or "poses" not in read_result(path, "camera", ())
+    ):
+        return {}
+    return read_poses(path)[1]
+
+
+def _seen_in(setup: CaptureSetup, poses: dict[str, Pose]) -> Pose | None:
+    if setup.seen_in is None:
+        return None
+    name = Path(setup.seen_in).name
+    if name not in poses:
+        raise InputError(
+            f"{setup.camera}: no pose of the board in {name}, in whose frame the lights are; "
+            f"{', '.join(list(poses)[:4]) or 'none'} are there"
+        )
+    return poses[name]

@@ -1,0 +1,106 @@
+"""What each pixel sees of the sample: a point, its normal, and the direction to the viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.arrays import Floats
+from raden_torch.capture.photo.brdf.capture_settings import SampleSpec
+from raden_torch.capture.photo.brdf.photo_series import PhotoSeries, linear_frames
+from raden_torch.capture.photo.brdf.rays import rays_through
+from raden_torch.capture.photo.brdf.sample_placement import SampleInPhotograph, place_sample
+from raden_torch.capture.photo.brdf.sample_shapes import Shape, Surface
+from raden_torch.capture.photo.brdf.shots import Shot
+from raden_torch.capture.photo.camera import Camera
+
+LEAST_COSINE = 0.09
+"""Of the lamp's and the view's angle with the normal: about 85 degrees. Beyond, the irradiance and
+the place of the pixel are as good as unknown."""
+_OUTLINE_PX = 0.3
+"""How well an outline is known where it is a mask's: its normals hang on it."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSurface:
+    """What the sample's pixels see, the same for all photographs with the same pose.
+
+    Attributes:
+        shape: of the sample, in the frame of the photograph's camera.
+        x_px, y_px: `[P]` columns and rows.
+        surface: points and normals.
+        view: `[P, 3]` unit directions to the viewer.
+    """
+
+    shape: Shape
+    x_px: NDArray[np.intp]
+    y_px: NDArray[np.intp]
+    surface: Surface
+    view: Floats
+
+    @property
+    def middle(self) -> Floats:
+        """`[3]` where the lamps' intensities hold."""
+        return self.shape.middle
+
+
+def seen_surface(placed: SampleInPhotograph, camera: Camera | None) -> SeenSurface:
+    """The sample's pixels that look at it at less than about 85 degrees."""
+    rays = rays_through(camera, placed.x_px, placed.y_px)
+    surface = placed.shape.seen(rays)
+    facing = -(surface.normal * rays.direction).sum(1)
+    good = facing > LEAST_COSINE
+    return SeenSurface(
+        placed.shape,
+        placed.x_px[good],
+        placed.y_px[good],
+        Surface(surface.point[good], surface.normal[good]),
+        -rays.direction[good],
+    )
+
+
+def seen_in_all(series: PhotoSeries, sample: SampleSpec) -> SeenSurface | None:
+    """What the pixels see where nothing moves; None where the sample is found by the board's pose.
+
+    Reads the photographs where the sample has to be searched for.
+
+    Raises:
+        InputError: as for `place_sample`.
+    """
+    return None if sample.lies_on_board else _seen_in(series, sample, series.shots[0])
+
+
+def seen_in_each(
+    series: PhotoSeries, sample: SampleSpec, in_all: SeenSurface | None
+) -> Iterator[SeenSurface]:
+    """What the pixels of each shot see; one in memory at a time.
+
+    Args:
+        in_all: what `seen_in_all` gave.
+
+    Raises:
+        InputError: as for `place_sample`.
+    """
+    seen, pose = in_all, None
+    for shot in series.shots:
+        if seen is None or (in_all is None and shot.pose is not pose):
+            seen, pose = _seen_in(series, sample, shot), shot.pose
+        yield seen
+
+
+def normal_std_deg(in_all: SeenSurface | None) -> float:
+    """Of the normals, where they hang on an outline: that over the radius in the picture. On the
+    board they do not."""
+    if in_all is None:
+        return 0.0
+    across = min(np.ptp(in_all.x_px), np.ptp(in_all.y_px)) / 2
+    return float(np.degrees(_OUTLINE_PX / max(across, 1.0)))
+
+
+def _seen_in(series: PhotoSeries, sample: SampleSpec, shot: Shot) -> SeenSurface:
+    pictures = (frame.radiance for frame in linear_frames(series))
+    placed = place_sample(sample, series.camera, shot.pose, series.size, pictures, shot.name)
+    return seen_surface(placed, series.camera)
