@@ -11,15 +11,9 @@ import numpy as np
 import pytest
 
 from raden_torch.capture.photo.board import Board, BoardView, draw_board, find_board
-from raden_torch.capture.photo.camera import (
-    Camera,
-    board_pose,
-    calibrate,
-    read_camera,
-    read_poses,
-    reprojected,
-    write_camera,
-)
+from raden_torch.capture.photo.board_pose import board_pose, reprojected
+from raden_torch.capture.photo.calibration import calibrate
+from raden_torch.capture.photo.camera import Camera, read_camera, read_poses, write_camera
 from raden_torch.capture.photo.photograph import read_stored
 from raden_torch.errors import InputError
 

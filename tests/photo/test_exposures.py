@@ -9,14 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from raden_torch.capture.photo.exposures import (
-    Noise,
-    flat_field,
-    flatten,
-    merge_exposures,
-    recover_response,
-    subtract_dark,
-)
+from raden_torch.capture.photo.camera_response import recover_response
+from raden_torch.capture.photo.dark_and_flat import flat_field, flatten, subtract_dark
+from raden_torch.capture.photo.exposure_weights import Noise
+from raden_torch.capture.photo.exposures import merge_exposures
 from raden_torch.capture.photo.photograph import Photograph, read_linear
 from raden_torch.errors import InputError
 

@@ -11,14 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.board import Board, BoardView, draw_board, find_board
-from raden_torch.capture.photo.camera import (
-    Calibration,
-    Pose,
-    board_pose,
-    calibrate,
-    read_camera,
-    write_camera,
-)
+from raden_torch.capture.photo.board_pose import board_pose
+from raden_torch.capture.photo.calibration import calibrate
+from raden_torch.capture.photo.camera import Calibration, Pose, read_camera, write_camera
 from raden_torch.capture.photo.checking_picture import (
     captioned,
     picture_path,

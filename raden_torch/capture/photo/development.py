@@ -9,14 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.capture.photo.exposures import (
-    Radiance,
-    flat_field,
-    flatten,
-    merge_exposures,
-    recover_response,
-    subtract_dark,
-)
+from raden_torch.capture.photo.camera_response import recover_response
+from raden_torch.capture.photo.dark_and_flat import flat_field, flatten, subtract_dark
+from raden_torch.capture.photo.exposures import Radiance, merge_exposures
 from raden_torch.capture.photo.photograph import (
     Coding,
     Photograph,
