@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from raden_torch.capture.photo.board import Board
-from raden_torch.capture.photo.chart import reference_xyz
+from raden_torch.capture.photo.chart_reference import reference_xyz
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 
 CAMERA_PX = np.array([[620.0, 0, 318], [0, 622, 243], [0, 0, 1]])

@@ -9,13 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from raden_torch.capture.photo.chart import (
-    PATCH_NAMES,
-    chart_at,
-    find_charts,
-    read_patches,
-    reference_xyz,
-)
+from raden_torch.capture.photo.chart import read_patches
+from raden_torch.capture.photo.chart_reference import PATCH_NAMES, reference_xyz
+from raden_torch.capture.photo.chart_search import chart_at, find_charts
 from raden_torch.capture.photo.photograph import Photograph, read_stored
 from raden_torch.errors import InputError
 

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from raden_torch.capture.photo.band_reflectance import band_reflectance
-from raden_torch.capture.photo.chart import Chart, Patches, find_charts, read_patches, reference_xyz
+from raden_torch.capture.photo.chart import Chart, Patches, read_patches
+from raden_torch.capture.photo.chart_reference import reference_xyz
+from raden_torch.capture.photo.chart_search import find_charts
 from raden_torch.capture.photo.colour import METHODS, fit_colour, read_colour, write_colour
 from raden_torch.capture.photo.dark_and_flat import subtract_dark
 from raden_torch.capture.photo.exposures import merge_exposures

@@ -11,15 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.capture.photo.chart import (
-    Chart,
-    Patches,
-    chart_at,
-    draw_charts,
-    find_charts,
-    read_patches,
-    reference_xyz,
-)
+from raden_torch.capture.photo.chart import Chart, Patches, draw_charts, read_patches
+from raden_torch.capture.photo.chart_reference import reference_xyz
+from raden_torch.capture.photo.chart_search import chart_at, find_charts
 from raden_torch.capture.photo.checking_picture import captioned, picture_path
 from raden_torch.capture.photo.colour import ColourCorrection, fit_colour, write_colour
 from raden_torch.capture.photo.development import Development, developed

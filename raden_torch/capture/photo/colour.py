@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.chart import NEUTRAL, PATCH_NAMES, Chart, Patches
+from raden_torch.capture.photo.chart import Chart, Patches
+from raden_torch.capture.photo.chart_reference import NEUTRAL, PATCH_NAMES
 from raden_torch.capture.photo.result_file import numbers, read_result, write_result
 from raden_torch.errors import InputError
 

@@ -10,7 +10,7 @@ import numpy as np
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
 from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
-from raden_torch.capture.photo.chart import PATCH_NAMES, reference_xyz
+from raden_torch.capture.photo.chart_reference import PATCH_NAMES, reference_xyz
 from raden_torch.capture.photo.result_file import numbers, read_result
 from raden_torch.errors import InputError
 
