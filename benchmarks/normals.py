@@ -17,7 +17,8 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from raden_torch.capture.photo.photometric_stereo import METHODS, solve_normals
+from raden_torch.capture.photo.lambert_fit import METHODS
+from raden_torch.capture.photo.photometric_stereo import solve_normals
 from raden_torch.capture.photo.reference import angle_deg
 
 

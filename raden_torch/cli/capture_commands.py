@@ -230,9 +230,10 @@ def lights(
     picture: Picture = None,
 ) -> None:
     """Find the directions to the lamps (or their places) in photographs of a chrome ball."""
-    from raden_torch.capture.photo.capture_lights import Reference, capture_lights
+    from raden_torch.capture.photo.capture_lights import capture_lights
     from raden_torch.capture.photo.checking_picture import picture_path
     from raden_torch.capture.photo.lamps import write_lamps
+    from raden_torch.capture.photo.reference_photos import Reference
     from raden_torch.capture.photo.result_file import check_result_path
     from raden_torch.plots.capture_figures import draw_lamps
     from raden_torch.plots.sheet import save_plot

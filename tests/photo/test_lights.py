@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
-from raden_torch.capture.photo.capture_lights import Reference, capture_lights
+from raden_torch.capture.photo.capture_lights import capture_lights
 from raden_torch.capture.photo.highlight import find_highlight
 from raden_torch.capture.photo.lamps import (
     Lamps,
@@ -19,6 +19,7 @@ from raden_torch.capture.photo.lamps import (
     read_lamps,
     write_lamps,
 )
+from raden_torch.capture.photo.reference_photos import Reference
 from raden_torch.errors import InputError
 
 SIZE = (240, 320)

@@ -13,9 +13,10 @@ from torch import Tensor
 
 from raden_torch.capture.photo.ball import ball_from_mask
 from raden_torch.capture.photo.highlight import find_highlight
+from raden_torch.capture.photo.lambert_fit import METHODS
 from raden_torch.capture.photo.lamp_order import check_order
 from raden_torch.capture.photo.lamps import Lamps, lamps_from_balls
-from raden_torch.capture.photo.photometric_stereo import METHODS, solve_normals
+from raden_torch.capture.photo.photometric_stereo import solve_normals
 from raden_torch.capture.photo.reference import (
     angle_deg,
     fit_response,

@@ -103,14 +103,13 @@ def capture_brdf(
     grid = grid or CellGrid()
     series = read_series(photographs, setup)
     in_all = seen_in_all(series, sample)
-
     views = photo_views(series, sample, in_all)
     first = first_pass(_reported(views, series, progress, 0.0), series, white, factor, grid)
     fit = robust_fit(first.kept, grid)
     lamp_std_deg = np.array([lamp.std_deg for lamp in series.lamps])
     agreed = agreement(first.kept, fit, first.scale, grid, lamp_std_deg)
     doubts = [moved(first.edges, series.names), agreed.contradiction(series.names)]
-    doubted = _raised_or_warned(doubts, go_on=go_on)
+    warned = _raised_or_warned(doubts, go_on=go_on)
 
     views = photo_views(series, sample, in_all)
     found = second_pass(_reported(views, series, progress, 0.5), first, fit, grid)
@@ -124,9 +123,9 @@ def capture_brdf(
         normal_std_deg=normal_std_deg(in_all),
         scale_std=factor.relative_std,
     )
-    said = _metadata(metadata or Metadata(), sample, found, cover, factor)
+    about = _metadata(metadata or Metadata(), sample, found, cover, factor)
     return CapturedBrdf(
-        measurement=_measurement(found, grid, colour, budget, said),
+        measurement=_measurement(found, grid, colour, budget, about),
         budget=budget,
         found=found,
         grid=grid,
@@ -135,7 +134,7 @@ def capture_brdf(
         lamps=series.lamps,
         agreement=agreed,
         coverage=cover,
-        notes=(*found.scale.notes, *doubted),
+        notes=(*found.scale.notes, *warned),
     )
 
 

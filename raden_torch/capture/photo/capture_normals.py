@@ -13,8 +13,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from raden_torch.capture.photo.lambert_fit import Method
 from raden_torch.capture.photo.lamp_order import OrderCheck, check_order
 from raden_torch.capture.photo.lamps import Lamps, read_lamps
+from raden_torch.capture.photo.lights_check import check_lights
 from raden_torch.capture.photo.photo_set import (
     PhotoSet,
     check_exposure,
@@ -22,13 +24,8 @@ from raden_torch.capture.photo.photo_set import (
     read_mask,
     read_set,
 )
-from raden_torch.capture.photo.photograph import Coding
-from raden_torch.capture.photo.photometric_stereo import (
-    Method,
-    SurfaceNormals,
-    check_lights,
-    solve_normals,
-)
+from raden_torch.capture.photo.photometric_stereo import SurfaceNormals, solve_normals
+from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 
 _ODD = 3.0
@@ -75,14 +72,7 @@ def capture_normals(
         InputError: as for what it is made of; the message names the file.
     """
     done = progress or (lambda share: None)
-    lamps = read_lamps(lights)
-    if len(lamps) != len(photographs):
-        raise InputError(
-            f"{lights}: expected one lamp per photograph, in their order, got {len(lamps)} lamps "
-            f"for {len(photographs)} photographs"
-        )
-    check_lights(torch.from_numpy(lamps.direction), lights)
-    _warn_of_names(photographs, lamps, lights)
+    lamps = _read_lamps(lights, photographs)
     photos = read_set(photographs, coded=coded, progress=lambda share: done(0.4 * share))
     inside = np.ones(photos.size, np.float32) if mask is None else read_mask(mask, photos.size)
     inside_map = torch.from_numpy(inside)[None, None]
@@ -109,6 +99,19 @@ def capture_normals(
     for note in notes:
         warnings.warn(note, stacklevel=2)
     return FoundNormals(surface, lamps, inside, power, order, tuple(notes))
+
+
+def _read_lamps(lights: Path, photographs: Sequence[Path]) -> Lamps:
+    """One lamp a photograph, that together determine a normal."""
+    lamps = read_lamps(lights)
+    if len(lamps) != len(photographs):
+        raise InputError(
+            f"{lights}: expected one lamp per photograph, in their order, got {len(lamps)} lamps "
+            f"for {len(photographs)} photographs"
+        )
+    check_lights(torch.from_numpy(lamps.direction), lights)
+    _warn_of_names(photographs, lamps, lights)
+    return lamps
 
 
 def _directions(lamps: Lamps, size: tuple[int, int], plane_z: float) -> Tensor:
@@ -155,7 +158,7 @@ def _warn_of_names(photographs: Sequence[Path], lamps: Lamps, lights: Path) -> N
     warnings.warn(
         f"{photographs[k]} is photograph {k + 1}, but lamp {k + 1} of {lights} was found in "
         f"{lamps.names[k]}; are the photographs in the lamps' order?",
-        stacklevel=3,
+        stacklevel=4,
     )
 
 

@@ -12,12 +12,8 @@ import numpy as np
 from raden_torch.capture.photo.camera_response import recover_response
 from raden_torch.capture.photo.dark_and_flat import flat_field, flatten, subtract_dark
 from raden_torch.capture.photo.exposures import Radiance, merge_exposures
-from raden_torch.capture.photo.photograph import (
-    Coding,
-    Photograph,
-    check_same_size,
-    read_linear,
-)
+from raden_torch.capture.photo.photograph import Photograph, check_same_size, read_linear
+from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 
 PathLike = str | os.PathLike[str]

@@ -11,9 +11,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from raden_torch.capture.photo.lambert_fit import Method
 from raden_torch.capture.photo.lamp_order import OrderCheck
 from raden_torch.capture.photo.lamps import Lamps
-from raden_torch.capture.photo.photometric_stereo import Method, SurfaceNormals
+from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
 from raden_torch.capture.photo.result_file import write_result
 from raden_torch.images.exr import write_channels
 from raden_torch.images.pixels import write_pixels

@@ -14,7 +14,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from raden_torch.capture.photo.photograph import Coding, Photograph, check_same_size, read_linear
+from raden_torch.capture.photo.photograph import Photograph, check_same_size, read_linear
+from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 from raden_torch.images.mask import read_mask_pixels
 

@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from raden_torch.capture.photo.ball import Ball
-from raden_torch.capture.photo.photometric_stereo import Method, solve_normals
+from raden_torch.capture.photo.lambert_fit import Method
+from raden_torch.capture.photo.photometric_stereo import solve_normals
 from raden_torch.errors import InputError
 
 RIM = 0.95
