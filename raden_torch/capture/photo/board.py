@@ -22,8 +22,10 @@ class Board:
     """A ChArUco board as it was printed.
 
     Attributes:
-        columns, rows: squares of the chessboard.
-        square_m, marker_m: side lengths, measured on the print.
+        columns: squares of the chessboard along a row, 2…100.
+        rows: squares down a column, 2…100.
+        square_m: side of a square, measured on the print, metres, above 0.
+        marker_m: side of a marker, metres, above 0 and below that of a square.
         dictionary: of the markers, by OpenCV's name, "DICT_6X6_250".
         legacy: whether a board with an even number of rows starts with a black square, as before
             OpenCV 4.6; None where `find_board` is to find out. With an odd number the two are one.

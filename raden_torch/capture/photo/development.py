@@ -22,13 +22,21 @@ _OVER = 0.5
 
 @dataclass(frozen=True)
 class Development:
-    """How a step reads its photographs; the arguments are those of `read_linear`.
+    """How a step reads its photographs.
 
     Attributes:
-        exposures_s: one for each photograph, or empty for what EXIF says.
-        darks, flat: frames taken with the lens covered, and of an evenly lit white sheet.
-        dark_exposures_s: one for each dark frame, or empty for what EXIF says.
-        response: recover the response from the photographs, which are an exposure stack.
+        coded: what the stored values mean: "auto", "srgb", "linear", or a response, as for
+            `read_linear`.
+        pattern: of a Bayer mosaic: "RGGB", "BGGR", "GRBG" or "GBRG"; "none" for a grey picture;
+            None: by its CFA tag.
+        white_level: the stored value at which the sensor saturates, 2…255 or 2…65535; None: by its
+            tags, or the largest that fits.
+        exposures_s: exposure times in seconds, above 0, one for each photograph; empty: as EXIF
+            says.
+        darks: frames taken with the lens covered.
+        dark_exposures_s: seconds, one for each dark frame; empty: as EXIF says.
+        flat: a frame of an evenly lit white sheet.
+        response: recover the response from the photographs, which are an exposure stack of 8 bits.
     """
 
     coded: Coding = "auto"
