@@ -18,8 +18,8 @@ import numpy as np
 import torch
 
 from raden_torch.capture.photo.lambert_fit import METHODS
+from raden_torch.capture.photo.matt_reference import angle_deg
 from raden_torch.capture.photo.photometric_stereo import solve_normals
-from raden_torch.capture.photo.reference import angle_deg
 
 
 def scene(height: int, width: int, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

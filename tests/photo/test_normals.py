@@ -16,13 +16,13 @@ from raden_torch.capture.photo.highlight import find_highlight
 from raden_torch.capture.photo.lambert_fit import METHODS
 from raden_torch.capture.photo.lamp_order import check_order
 from raden_torch.capture.photo.lamps import Lamps, lamps_from_balls
-from raden_torch.capture.photo.photometric_stereo import solve_normals
-from raden_torch.capture.photo.reference import (
+from raden_torch.capture.photo.matt_reference import (
     angle_deg,
     fit_response,
     relative_intensities,
     sphere_normals,
 )
+from raden_torch.capture.photo.photometric_stereo import solve_normals
 from raden_torch.errors import InputError
 
 N = 96

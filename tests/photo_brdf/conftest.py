@@ -360,7 +360,7 @@ class BoardBench:
     """The same on a board."""
 
     def __init__(self, make: Callable[..., Series]) -> None:
-        self.series = make
+        self.series, self.arguments, self.lamps = make, board_setup, board_lamps
 
     def run(self, case: str) -> CapturedBrdf:
         count, rod = 24, case != "plane"

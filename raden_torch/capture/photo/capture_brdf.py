@@ -28,7 +28,7 @@ from raden_torch.capture.photo.brdf.photo_passes import (
 from raden_torch.capture.photo.brdf.photo_series import PhotoSeries, read_series
 from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
-from raden_torch.capture.photo.brdf.seen_surface import normal_std_deg, seen_in_all
+from raden_torch.capture.photo.brdf.seen_surface import fixed_surface, normal_std_deg
 from raden_torch.capture.photo.brdf.shots import Shot
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
@@ -102,8 +102,8 @@ def capture_brdf(
     """
     grid = grid or CellGrid()
     series = read_series(photographs, setup)
-    in_all = seen_in_all(series, sample)
-    views = photo_views(series, sample, in_all)
+    fixed = fixed_surface(series, sample)
+    views = photo_views(series, sample, fixed)
     first = first_pass(_reported(views, series, progress, 0.0), series, white, factor, grid)
     fit = robust_fit(first.kept, grid)
     lamp_std_deg = np.array([lamp.std_deg for lamp in series.lamps])
@@ -111,7 +111,7 @@ def capture_brdf(
     doubts = [moved(first.edges, series.names), agreed.contradiction(series.names)]
     warned = _raised_or_warned(doubts, go_on=go_on)
 
-    views = photo_views(series, sample, in_all)
+    views = photo_views(series, sample, fixed)
     found = second_pass(_reported(views, series, progress, 0.5), first, fit, grid)
     cover = _checked_coverage(found, grid, series, sample, first.shape)
     colour = NodeColour.of(setup.colour, found.scale)
@@ -120,7 +120,7 @@ def capture_brdf(
         grid,
         colour,
         lamp_std_deg=lamp_std_deg,
-        normal_std_deg=normal_std_deg(in_all),
+        normal_std_deg=normal_std_deg(fixed),
         scale_std=factor.relative_std,
     )
     about = _metadata(metadata or Metadata(), sample, found, cover, factor)

@@ -16,6 +16,11 @@ from torch import Tensor
 from raden_torch.capture.photo.ball import ball_from_mask
 from raden_torch.capture.photo.ball_lens import BallLens
 from raden_torch.capture.photo.lamps import Lamps
+from raden_torch.capture.photo.matt_reference import (
+    fit_response,
+    relative_intensities,
+    sphere_normals,
+)
 from raden_torch.capture.photo.photo_set import (
     PhotoSet,
     check_exposure,
@@ -23,7 +28,6 @@ from raden_torch.capture.photo.photo_set import (
     read_mask,
     read_set,
 )
-from raden_torch.capture.photo.reference import fit_response, relative_intensities, sphere_normals
 from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 from raden_torch.files import is_same_file

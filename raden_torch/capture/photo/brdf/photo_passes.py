@@ -29,11 +29,11 @@ from raden_torch.capture.photo.brdf.photo_white import (
 )
 from raden_torch.capture.photo.brdf.pixel_samples import samples_in_cells
 from raden_torch.capture.photo.brdf.rays import rays_through
-from raden_torch.capture.photo.brdf.reference_place import white_place
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
-from raden_torch.capture.photo.brdf.seen_surface import SeenSurface, seen_in_each
+from raden_torch.capture.photo.brdf.seen_surface import SeenSurface, seen_surfaces
 from raden_torch.capture.photo.brdf.shots import Shot
+from raden_torch.capture.photo.brdf.white_place import white_place
 from raden_torch.errors import InputError
 
 
@@ -89,17 +89,17 @@ class AccumulatedCells:
 
 
 def photo_views(
-    series: PhotoSeries, sample: SampleSpec, in_all: SeenSurface | None
+    series: PhotoSeries, sample: SampleSpec, fixed: SeenSurface | None
 ) -> Iterator[PhotoView]:
     """The photographs, read one after another, with what their pixels see.
 
     Args:
-        in_all: what `seen_in_all` gave for the sample.
+        fixed: what `fixed_surface` gave for the sample.
 
     Raises:
-        InputError: as for `linear_frames` and `seen_in_each`.
+        InputError: as for `linear_frames` and `seen_surfaces`.
     """
-    frames, seen = linear_frames(series), seen_in_each(series, sample, in_all)
+    frames, seen = linear_frames(series), seen_surfaces(series, sample, fixed)
     each = zip(series.shots, series.lamps, frames, seen, strict=True)
     for number, (shot, lamp, frame, surface) in enumerate(each):
         yield PhotoView(number, shot, lamp, frame, surface)

@@ -62,7 +62,7 @@ def seen_surface(placed: SampleInPhotograph, camera: Camera | None) -> SeenSurfa
     )
 
 
-def seen_in_all(series: PhotoSeries, sample: SampleSpec) -> SeenSurface | None:
+def fixed_surface(series: PhotoSeries, sample: SampleSpec) -> SeenSurface | None:
     """What the pixels see where nothing moves; None where the sample is found by the board's pose.
 
     Reads the photographs where the sample has to be searched for.
@@ -73,30 +73,30 @@ def seen_in_all(series: PhotoSeries, sample: SampleSpec) -> SeenSurface | None:
     return None if sample.lies_on_board else _seen_in(series, sample, series.shots[0])
 
 
-def seen_in_each(
-    series: PhotoSeries, sample: SampleSpec, in_all: SeenSurface | None
+def seen_surfaces(
+    series: PhotoSeries, sample: SampleSpec, fixed: SeenSurface | None
 ) -> Iterator[SeenSurface]:
     """What the pixels of each shot see; one in memory at a time.
 
     Args:
-        in_all: what `seen_in_all` gave.
+        fixed: what `fixed_surface` gave.
 
     Raises:
         InputError: as for `place_sample`.
     """
-    seen, pose = in_all, None
+    seen, pose = fixed, None
     for shot in series.shots:
-        if seen is None or (in_all is None and shot.pose is not pose):
+        if seen is None or (fixed is None and shot.pose is not pose):
             seen, pose = _seen_in(series, sample, shot), shot.pose
         yield seen
 
 
-def normal_std_deg(in_all: SeenSurface | None) -> float:
+def normal_std_deg(fixed: SeenSurface | None) -> float:
     """Of the normals, where they hang on an outline: that over the radius in the picture. On the
     board they do not."""
-    if in_all is None:
+    if fixed is None:
         return 0.0
-    across = min(np.ptp(in_all.x_px), np.ptp(in_all.y_px)) / 2
+    across = min(np.ptp(fixed.x_px), np.ptp(fixed.y_px)) / 2
     return float(np.degrees(_OUTLINE_PX / max(across, 1.0)))
 
 

@@ -51,7 +51,7 @@ class Options:
         near: lamps at 0.75 to 1.3 m instead of 200 m.
         width: of the photographs, 300…6000 pixels; the height is two thirds of it.
         bits: of the camera's converter, 8…16; 8 stores 8-bit files.
-        stack: exposures a photograph, 1…5, each four times as long as the one before; a plane has 1.
+        stack: exposures a photograph, 1…5, each four times as long as the one before.
         points: rays along a pixel's edge, 1…8.
         seed: of the noise and of where things stand, 0…2³¹.
         variant: of Mitsuba.
