@@ -1,4 +1,4 @@
-"""Files of ours as msgspec schemas: a document is checked in one go, and what is wrong is one line.
+"""JSON and TOML files of ours: read, checked against a schema, and what is wrong in one line.
 
 A schema is a msgspec `Struct`, or a dataclass, whose types say what is allowed. A struct with
 `forbid_unknown_fields` refuses other keys; `Meta(description=…)` says in words what a pattern asks.
@@ -6,16 +6,24 @@ A schema is a msgspec `Struct`, or a dataclass, whose types say what is allowed.
 
 from __future__ import annotations
 
+import json
+import os
 import re
 import reprlib
 import sys
 from difflib import get_close_matches
-from typing import Annotated, Any, TypeVar
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta, inspect
 
 from raden_torch.errors import InputError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 T = TypeVar("T")
 
@@ -23,7 +31,10 @@ _MOST = sys.float_info.max
 
 Finite = Annotated[float, Meta(ge=-_MOST, le=_MOST)]
 Positive = Annotated[float, Meta(gt=0, le=_MOST)]
+NotNegative = Annotated[float, Meta(ge=0, le=_MOST)]
+Count = Annotated[int, Meta(ge=0, le=2**53)]
 Triple = tuple[Finite, Finite, Finite]
+Matrix = tuple[Triple, Triple, Triple]
 Text = Annotated[
     str,
     Meta(
@@ -35,6 +46,37 @@ Text = Annotated[
 _MESSAGE = re.compile(r"(.*?)(?: - at (`key` in )?`\$([\w.\[\]]*)`)?", re.DOTALL)
 _shown = reprlib.Repr()
 _shown.maxstring = _shown.maxother = 80
+
+
+def read_document(
+    path: str | os.PathLike[str],
+    what: str,
+    language: Literal["JSON", "TOML"] = "JSON",
+    most_bytes: int = 100_000_000,
+) -> Any:
+    """What a JSON or TOML file holds.
+
+    Args:
+        what: the file should be, for messages: "a rig file".
+
+    Raises:
+        InputError: not there, too large, not UTF-8 text, not in that language.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > most_bytes:
+            raise InputError(f"{path}: expected {what}, got over {most_bytes} bytes")
+        text = path.read_bytes().decode("utf-8-sig")
+        return json.loads(text) if language == "JSON" else tomllib.loads(text)
+    except OSError as error:
+        raise InputError(f"{path}: expected {what}, got an error: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: expected {what}, got bytes that are not UTF-8 text") from None
+    except InputError:
+        raise
+    except (ValueError, RecursionError) as error:  # int() of 5,000 digits raises the former, too
+        reason = " ".join(str(error).split())[:200]
+        raise InputError(f"{path}: expected {what}, got no valid {language}: {reason}") from None
 
 
 def checked(document: Any, kind: type[T], where: str) -> T:
@@ -72,8 +114,10 @@ def _explained(document: Any, kind: Any, error: msgspec.ValidationError) -> tupl
     key, got = "", _shown.repr(value)
     missing = re.match(r"Object missing required field `(.*)`", text)
     if missing:
-        key, got = missing[1], "none"
+        key = missing[1]
         expected = _words(_inside(node, key))
+        near = get_close_matches(key, set(value) - set(_keys(node)), 1)
+        got = "none" + (f"; is it {near[0]!r}?" if near else "")
     elif in_key or text.startswith("Object contains unknown field"):
         known = _keys(node)
         key = next(str(key) for key in value if key not in known)
@@ -143,14 +187,14 @@ def _words(node: Any) -> str:
         kinds = [kind for kind in node.types if not isinstance(kind, inspect.NoneType)]
         return " or ".join(map(_words, kinds))
     if isinstance(node, (inspect.FloatType, inspect.IntType)):
-        return _number(node)
+        return f"a {_number(node)}"
     if isinstance(node, (inspect.EnumType, inspect.LiteralType)):
         return f"one of {', '.join(map(str, _choices(node)))}"
     if isinstance(node, inspect.TupleType):
-        first = node.item_types[0]
-        row = isinstance(first, inspect.TupleType)
-        each = f"rows of {_words(first)}" if row else _words(first)[2:].replace("ber", "bers", 1)
-        return f"{len(node.item_types)} {each}"
+        count, first = len(node.item_types), node.item_types[0]
+        if isinstance(first, (inspect.FloatType, inspect.IntType)):
+            return f"{count} {_number(first, 's')}"
+        return f"{count} rows" + (f" of {_words(first)}" if hasattr(first, "item_types") else "")
     if isinstance(node, (inspect.ListType, inspect.VarTupleType)):
         least = f" of {node.min_length} or more" if node.min_length else ""
         return f"a list{least}"
@@ -166,8 +210,8 @@ _NAMES: dict[Any, str] = {
 }
 
 
-def _number(node: Any) -> str:
-    kind = "a whole number" if isinstance(node, inspect.IntType) else "a number"
+def _number(node: Any, plural: str = "") -> str:
+    kind = ("whole " if isinstance(node, inspect.IntType) else "") + "number" + plural
     low, high = (None if bound in (-_MOST, _MOST) else bound for bound in (node.ge, node.le))
     if low is not None and high is not None:
         return f"{kind} in {low:g}…{high:g}"

@@ -115,7 +115,7 @@ def test_a_rig_is_read(rig_file) -> None:
             "zero_deg = 1" + "0" * 400,
             r"zero_deg: expected a number in .*, got 1000",
         ),
-        ("zero_deg = 12.5", "zero_deg = 1" + "0" * 9000, r"not valid TOML"),
+        ("zero_deg = 12.5", "zero_deg = 1" + "0" * 9000, r"no valid TOML"),
         ("zero_deg = 12.5", 'zero_deg = "12.5"', r"zero_deg: expected a number in .*, got '12.5'"),
         (
             'driver = "grbl"',
@@ -196,7 +196,7 @@ def test_a_rig_is_read(rig_file) -> None:
             "[obstrucktion]",
             r"obstrucktion: expected one of .*, got 'obstrucktion'",
         ),
-        ("[white]\n", "[white\n", r"not valid TOML"),
+        ("[white]\n", "[white\n", r"no valid TOML"),
         ("[colorimeter]", "colorimeter = 3\n[other]", r"other|colorimeter"),
     ],
 )
@@ -217,7 +217,7 @@ def test_files_that_are_no_rig(rig_file, tmp_path: Path) -> None:
         load_rig(rig_file(b"\xff\xfe\x00"))
     with pytest.raises(InputError, match="over 1000000 bytes"):
         load_rig(rig_file(b"#" * 1_000_001))
-    with pytest.raises(InputError, match="not valid TOML"):
+    with pytest.raises(InputError, match="no valid TOML"):
         load_rig(rig_file("a = " + "[" * 50_000))
 
 

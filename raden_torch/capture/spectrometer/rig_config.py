@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import os
 import re
-import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from msgspec import Meta, Struct
 from msgspec.structs import replace
@@ -26,12 +25,7 @@ from raden_torch.capture.spectrometer.rig import (
     WhiteReference,
 )
 from raden_torch.errors import InputError
-from raden_torch.schema import Text, checked
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
+from raden_torch.schema import Text, checked, read_document
 
 MAX_BYTES = 1_000_000
 
@@ -72,7 +66,7 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
         InputError: one line with the file, the key, and what would be right.
     """
     path = Path(path)
-    file = checked(_parsed(path), _RigFile, str(path))
+    file = checked(read_document(path, "a rig file", "TOML", MAX_BYTES), _RigFile, str(path))
     try:
         rig = _rig(path, file)
         _check_travel(rig)
@@ -210,25 +204,6 @@ def _check_travel(rig: Rig) -> None:
     reason = rig.reachable(rig.white.geometry)
     if reason:
         raise _WrongError(f"white.geometry_deg: out of reach: {reason}")
-
-
-def _parsed(path: Path) -> dict[str, Any]:
-    try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path}: expected a rig file, got over {MAX_BYTES} bytes")
-        text = path.read_bytes().decode("utf-8-sig")
-        return tomllib.loads(text)
-    except OSError as error:
-        raise InputError(f"{path}: expected a rig file, got an error: {error.strerror}") from None
-    except UnicodeDecodeError:
-        raise InputError(
-            f"{path}: expected a rig file in TOML, got bytes that are not UTF-8 text"
-        ) from None
-    except (
-        ValueError,
-        RecursionError,
-    ) as error:  # what tomllib raises, and its int() of 5,000 digits
-        raise InputError(f"{path}: not valid TOML: {_clipped(str(error))}") from None
 
 
 def _clipped(text: str) -> str:

@@ -15,7 +15,7 @@ from raden_torch.capture.photo.brdf.sample import SampleInPhotograph, SampleSpec
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
 from raden_torch.capture.photo.brdf.samples import SeenSurface, see
 from raden_torch.capture.photo.brdf.series import Frame, Shot, read_shot, series
-from raden_torch.capture.photo.camera import Camera, Pose, read_camera, read_poses
+from raden_torch.capture.photo.camera import Camera, CameraFile, Pose, read_camera, read_poses
 from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps, read_lamps
 from raden_torch.capture.photo.result_file import read_result
@@ -144,7 +144,7 @@ def _poses(path: Path | None) -> dict[str, Pose]:
     if (
         path is None
         or path.suffix.lower() != ".json"
-        or "poses" not in read_result(path, "camera", ())
+        or read_result(path, "camera", CameraFile).poses is None
     ):
         return {}
     return read_poses(path)[1]
