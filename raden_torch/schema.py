@@ -11,19 +11,15 @@ import os
 import re
 import reprlib
 import sys
+from collections.abc import Callable
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta, inspect
 
 from raden_torch.errors import InputError
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 T = TypeVar("T")
 
@@ -51,10 +47,10 @@ _shown.maxstring = _shown.maxother = 80
 def read_document(
     path: str | os.PathLike[str],
     what: str,
-    language: Literal["JSON", "TOML"] = "JSON",
+    parse: Callable[[str], Any] = json.loads,
     most_bytes: int = 100_000_000,
 ) -> Any:
-    """What a JSON or TOML file holds.
+    """What a JSON file holds, or a TOML file, with `tomllib.loads`.
 
     Args:
         what: the file should be, for messages: "a rig file".
@@ -64,10 +60,9 @@ def read_document(
     """
     path = Path(path)
     try:
-        if path.stat().st_size > most_bytes:
-            raise InputError(f"{path}: expected {what}, got over {most_bytes} bytes")
-        text = path.read_bytes().decode("utf-8-sig")
-        return json.loads(text) if language == "JSON" else tomllib.loads(text)
+        if (size := path.stat().st_size) > most_bytes:
+            raise InputError(f"{path}: expected {what}, got over {most_bytes} bytes ({size})")
+        return parse(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:
         raise InputError(f"{path}: expected {what}, got an error: {error.strerror}") from None
     except UnicodeDecodeError:
@@ -75,6 +70,7 @@ def read_document(
     except InputError:
         raise
     except (ValueError, RecursionError) as error:  # int() of 5,000 digits raises the former, too
+        language = "JSON" if parse is json.loads else "TOML"
         reason = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: expected {what}, got no valid {language}: {reason}") from None
 

@@ -11,8 +11,7 @@ import pytest
 
 from raden_torch.capture.spectrometer.drivers import COLORIMETER_GROUP
 from raden_torch.capture.spectrometer.ports import ConnectionLostError, Target
-from raden_torch.capture.spectrometer.rig_config import load_rig
-from raden_torch.schema import tomllib
+from raden_torch.capture.spectrometer.rig_config import load_rig, tomllib
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "rig.md").read_text(encoding="utf-8")
 

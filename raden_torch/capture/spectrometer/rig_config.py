@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -26,6 +27,11 @@ from raden_torch.capture.spectrometer.rig import (
 )
 from raden_torch.errors import InputError
 from raden_torch.schema import Text, checked, read_document
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 MAX_BYTES = 1_000_000
 
@@ -66,7 +72,7 @@ def load_rig(path: str | os.PathLike[str]) -> Rig:
         InputError: one line with the file, the key, and what would be right.
     """
     path = Path(path)
-    file = checked(read_document(path, "a rig file", "TOML", MAX_BYTES), _RigFile, str(path))
+    file = checked(read_document(path, "a rig file", tomllib.loads, MAX_BYTES), _RigFile, str(path))
     try:
         rig = _rig(path, file)
         _check_travel(rig)
