@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from raden_torch.capture.spectrometer.ports import Position
 from raden_torch.errors import InputError
@@ -50,28 +49,3 @@ class White:
                 f"{self.name}: expected incidence and tilt below 90 degrees, got incidence "
                 f"{here.incidence_deg:g}, tilt {here.tilt_deg:g}, where no lamp can light it"
             )
-
-    def as_json(self) -> dict[str, Any]:
-        here = self.position
-        return {
-            "name": self.name,
-            "position_deg": [here.incidence_deg, here.receiving_deg, here.tilt_deg],
-            "xyz": list(self.xyz),
-            "at_cells": [list(xyz) for xyz in self.at_cells],
-            "relative_std": self.relative_std,
-        }
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> White:
-        return cls(
-            position=Position(*(float(angle) for angle in data["position_deg"])),
-            xyz=_triple(data["xyz"]),
-            name=str(data["name"]),
-            at_cells=tuple(_triple(xyz) for xyz in data["at_cells"]),
-            relative_std=float(data["relative_std"]),
-        )
-
-
-def _triple(values: Any) -> Triple:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
