@@ -17,18 +17,19 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import msgspec
-from msgspec import Meta, inspect
+from msgspec import Meta
 
 from raden_torch.errors import InputError
 
 T = TypeVar("T")
 
 _MOST = sys.float_info.max
+_MOST_COUNTED = 2**53
 
 Finite = Annotated[float, Meta(ge=-_MOST, le=_MOST)]
 Positive = Annotated[float, Meta(gt=0, le=_MOST)]
 NotNegative = Annotated[float, Meta(ge=0, le=_MOST)]
-Count = Annotated[int, Meta(ge=0, le=2**53)]
+Count = Annotated[int, Meta(ge=0, le=_MOST_COUNTED)]
 Triple = tuple[Finite, Finite, Finite]
 Matrix = tuple[Triple, Triple, Triple]
 Text = Annotated[
@@ -39,7 +40,7 @@ Text = Annotated[
 ]
 """One line that is not blank."""
 
-_MESSAGE = re.compile(r"(.*?)(?: - at (`key` in )?`\$([\w.\[\]]*)`)?", re.DOTALL)
+_MESSAGE = re.compile(r"(.*?)(?: - at `\$([\w.\[\]]*)`)?", re.DOTALL)
 _shown = reprlib.Repr()
 _shown.maxstring = _shown.maxother = 80
 
@@ -98,118 +99,97 @@ def checked(document: Any, kind: type[T], where: str) -> T:
 
 def _explained(document: Any, kind: Any, error: msgspec.ValidationError) -> tuple[str, str]:
     """The place, which may be empty, and what is wrong there."""
-    text, in_key, way = _MESSAGE.fullmatch(str(error)).groups("")  # type: ignore[union-attr]
-    place, value, node = "", document, inspect.type_info(kind)
-    for key, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", way):
-        if index == "...":
-            key = _key_left_out(document, kind, value, str(error))
-        node, value = _inside(node, key or int(index)), value[key or int(index)]
+    text, way = _MESSAGE.fullmatch(str(error)).groups("")  # type: ignore[union-attr]
+    if text.startswith("Object contains unknown field") and not text.endswith("`"):
+        way = ""  # was a part of its name
+    schema = msgspec.json.schema(kind)
+    node, value, place = _Node(schema, schema.get("$defs", {})), document, ""
+    for key, index in re.findall(r"\.(\w+)|\[(\d+)\]", way.partition("[...]")[0]):
+        node, value = node.entry(key or int(index)), value[key or int(index)]
         place += f".{key}" if key else f"[{index}]"
     if isinstance(error.__cause__, InputError):  # what an object says of itself
         return place[1:], str(error.__cause__)
-    key, got = "", _shown.repr(value)
-    missing = re.match(r"Object missing required field `(.*)`", text)
+    missing = re.fullmatch(r"Object missing required field `(.*)`", text)
     if missing:
-        key = missing[1]
-        expected = _words(_inside(node, key))
-        near = get_close_matches(key, set(value) - set(_keys(node)), 1)
+        key, expected = missing[1], node.entry(missing[1]).words()
+        near = get_close_matches(key, set(value) - set(node.names()), 1)
         got = "none" + (f"; is it {near[0]!r}?" if near else "")
-    elif in_key or text.startswith("Object contains unknown field"):
-        known = _keys(node)
-        key = next(str(key) for key in value if key not in known)
-        near = get_close_matches(key, known, 1)
-        expected = f"one of {', '.join(sorted(known))}"
+    elif text.startswith("Object contains unknown field"):
+        key = next(key for key in value if key not in node.names())
+        near = get_close_matches(key, node.names(), 1)
+        expected = f"one of {', '.join(sorted(node.names()))}"
         got = _shown.repr(key) + (f"; did you mean {near[0]}?" if near else "")
     else:
-        expected = _words(node)
+        key, expected, got = "", node.words(), _shown.repr(value)
     shown = key if key.isprintable() else repr(key)
     return f"{place}.{shown}"[1:].removesuffix("."), f"expected {expected}, got {got}"
 
 
-def _key_left_out(document: Any, kind: Any, table: dict[str, Any], text: str) -> str:
-    """The key that msgspec writes as [...]: alone in its table it is as wrong as before."""
-    entries, found = dict(table), ""
-    for found, entry in entries.items():
-        table.clear()
-        table[found] = entry
-        try:
-            msgspec.convert(document, kind)
-        except msgspec.ValidationError as error:
-            if str(error) == text:
-                break
-    table.update(entries)
-    return found
+class _Node:
+    """One place of a JSON schema, as msgspec makes it of types."""
+
+    def __init__(self, content: dict[str, Any], definitions: dict[str, Any]) -> None:
+        self._definitions = definitions
+        while "$ref" in content:
+            content = definitions[content["$ref"].rpartition("/")[2]]
+        self._content = content
+        self._others = [_Node(other, definitions) for other in content.get("anyOf", ())]
+
+    def _holder(self) -> dict[str, Any]:
+        """Of alternatives the one that has entries; there is one at most."""
+        holders = (other._content for other in self._others)
+        return next((c for c in holders if c["type"] in ("array", "object")), self._content)
+
+    def entry(self, key: str | int) -> _Node:
+        holder = self._holder()
+        if isinstance(key, int):
+            rows = holder.get("prefixItems")
+            return _Node(rows[key] if rows else holder["items"], self._definitions)
+        return _Node(holder["properties"][key], self._definitions)
+
+    def names(self) -> list[str]:
+        return list(self._holder().get("properties", ()))
+
+    def words(self) -> str:
+        """What is allowed."""
+        content = self._content
+        kind, rows = content.get("type", ""), content.get("prefixItems")
+        if "description" in content and "title" not in content:  # else it is a docstring
+            return str(content["description"])
+        if self._others:
+            words = (other.words() for other in self._others if other._content != {"type": "null"})
+            return " or ".join(words)
+        if "enum" in content:
+            return f"one of {', '.join(map(str, content['enum']))}"
+        if kind in ("number", "integer"):
+            return f"a {_number(content)}"
+        if rows:
+            is_row = rows[0].get("type") == "array" and "prefixItems" in rows[0]
+            each = f"rows of {self.entry(0).words()}" if is_row else "rows"
+            return f"{len(rows)} {_number(rows[0], 's') if 'minimum' in rows[0] else each}"
+        if "properties" in content:
+            return f"a table with {', '.join(self.names())}"
+        if isinstance(content.get("additionalProperties"), dict):
+            each = _Node(content["additionalProperties"], self._definitions)
+            return f"a table, in which each entry is {each.words()}"
+        if content.get("minItems"):
+            return f"a list of {content['minItems']} or more"
+        return _WORDS.get(kind, "another value")
 
 
-def _inside(node: Any, key: str | int) -> Any:
-    """The schema of an entry."""
-    node = _container(node)
-    if isinstance(node, inspect.DictType):
-        return node.value_type
-    if isinstance(key, int):
-        return node.item_types[key] if isinstance(node, inspect.TupleType) else node.item_type
-    return next(field.type for field in node.fields if field.encode_name == key)
-
-
-def _container(node: Any) -> Any:
-    """The only alternative of a union that has entries."""
-    if isinstance(node, inspect.Metadata):
-        return _container(node.type)
-    if isinstance(node, inspect.UnionType):
-        return next(kind for kind in map(_container, node.types) if _has_entries(kind))
-    return node
-
-
-def _has_entries(node: Any) -> bool:
-    return any(hasattr(node, name) for name in ("fields", "item_type", "item_types", "value_type"))
-
-
-def _keys(node: Any) -> list[str]:
-    node = _container(node)
-    if isinstance(node, inspect.DictType):
-        return [str(key) for key in _choices(node.key_type)]
-    return [field.encode_name for field in node.fields]
-
-
-def _choices(node: Any) -> list[Any]:
-    return [m.value for m in node.cls] if isinstance(node, inspect.EnumType) else list(node.values)
-
-
-def _words(node: Any) -> str:
-    """What a schema allows."""
-    if isinstance(node, inspect.Metadata):
-        return (node.extra_json_schema or {}).get("description") or _words(node.type)
-    if isinstance(node, inspect.UnionType):
-        kinds = [kind for kind in node.types if not isinstance(kind, inspect.NoneType)]
-        return " or ".join(map(_words, kinds))
-    if isinstance(node, (inspect.FloatType, inspect.IntType)):
-        return f"a {_number(node)}"
-    if isinstance(node, (inspect.EnumType, inspect.LiteralType)):
-        return f"one of {', '.join(map(str, _choices(node)))}"
-    if isinstance(node, inspect.TupleType):
-        count, first = len(node.item_types), node.item_types[0]
-        if isinstance(first, (inspect.FloatType, inspect.IntType)):
-            return f"{count} {_number(first, 's')}"
-        return f"{count} rows" + (f" of {_words(first)}" if hasattr(first, "item_types") else "")
-    if isinstance(node, (inspect.ListType, inspect.VarTupleType)):
-        least = f" of {node.min_length} or more" if node.min_length else ""
-        return f"a list{least}"
-    if hasattr(node, "fields"):
-        return f"a table with {', '.join(_keys(node))}"
-    return _NAMES.get(type(node), "a value")
-
-
-_NAMES: dict[Any, str] = {
-    inspect.StrType: "a text",
-    inspect.BoolType: "true or false",
-    inspect.DictType: "a table",
+_WORDS = {
+    "string": "a text",
+    "boolean": "true or false",
+    "array": "a list",
+    "object": "a table",
 }
 
 
-def _number(node: Any, plural: str = "") -> str:
-    kind = ("whole " if isinstance(node, inspect.IntType) else "") + "number" + plural
-    low, high = (None if bound in (-_MOST, _MOST) else bound for bound in (node.ge, node.le))
-    if low is not None and high is not None:
+def _number(content: dict[str, Any], plural: str = "") -> str:
+    kind = ("whole " if content["type"] == "integer" else "") + "number" + plural
+    low, high = content.get("minimum", -_MOST), content.get("maximum", _MOST)
+    if low > -_MOST and high < _MOST:
         return f"{kind} in {low:g}…{high:g}"
-    limits = (("above", node.gt), ("from", low), ("below", node.lt), ("up to", high))
-    return " ".join([kind, *(f"{name} {limit:g}" for name, limit in limits if limit is not None)])
+    above = content.get("exclusiveMinimum")
+    limit = f" above {above:g}" if above is not None else f" from {low:g}" if low > -_MOST else ""
+    return kind + limit

@@ -22,6 +22,7 @@ from raden_torch.capture.spectrometer.ports import (
     Target,
 )
 from raden_torch.capture.spectrometer.rig import (
+    Axes,
     Axis,
     ColorimeterSettings,
     GoniometerSettings,
@@ -35,11 +36,11 @@ QUICK = {110 + i: "60000" for i in range(6)} | {120 + i: "20000" for i in range(
 
 
 def rig_at(port: str, letters: str = "ABC", **changes) -> Rig:
-    axes = {
-        "incidence": Axis(letters[0], (-5.0, 90.0)),
-        "receiving": Axis(letters[1], (-90.0, 90.0), -1, 10.0),
-        "tilt": Axis(letters[2], (-90.0, 90.0), 1, -5.0),
-    }
+    axes = Axes(
+        Axis(letters[0], (-5.0, 90.0)),
+        Axis(letters[1], (-90.0, 90.0), -1, 10.0),
+        Axis(letters[2], (-90.0, 90.0), 1, -5.0),
+    )
     shows = {Target.SAMPLE: ("M9",), Target.WHITE: "Put the white tile in", Target.DARK: ("M8",)}
     settings = GoniometerSettings(
         "grbl",

@@ -166,7 +166,7 @@ def test_a_changed_plan_is_noticed(journal_of_ten: Path) -> None:
         ({"format": 2}, "journal format: expected 1, got 2"),
         ({"plan": {"kind": "clever"}}, "plan: kind: expected fixed or adaptive, got 'clever'"),
         ({"plan": 3}, "line 1"),
-        ({"white": {}}, r"line 1: white\.name: expected a text, got none"),
+        ({"white": {}}, r"line 1: white\.position_deg: expected 3 numbers, got none"),
         ({"record": "reading"}, "not the header"),
     ],
 )

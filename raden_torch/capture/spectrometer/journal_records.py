@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,13 +17,24 @@ from raden_torch.capture.spectrometer.scan_plan import Decision, Plan, Step, Tak
 from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
 from raden_torch.capture.spectrometer.white_reference import White
 from raden_torch.errors import InputError
-from raden_torch.schema import Count, Finite, NotNegative, Positive, Triple, checked
+from raden_torch.schema import Count, Finite, Positive, Triple, checked
 
 FORMAT = 1
 
 
-@dataclass(frozen=True)
-class Header:
+class _Said(Struct, frozen=True, kw_only=True):
+    white: White
+    reference_every_s: Finite
+    reference_readings: Count
+    goniometer: str
+    colorimeter: str
+    simulated: bool
+    sample: str
+    started: str
+    stated: StatedUncertainty = StatedUncertainty()
+
+
+class Header(_Said, frozen=True):
     """What a journal says once, at its beginning.
 
     Attributes:
@@ -39,38 +50,14 @@ class Header:
     """
 
     plan: Plan
-    white: White
-    reference_every_s: float
-    reference_readings: int
-    goniometer: str
-    colorimeter: str
-    simulated: bool
-    sample: str
-    started: str
-    stated: StatedUncertainty = field(default_factory=StatedUncertainty)
 
     def as_json(self) -> dict[str, Any]:
-        white = self.white
         return {
             "record": "header",
             "format": FORMAT,
             "plan_hash": self.plan.hash,
             "plan": self.plan.as_json(),
-            "white": {
-                "name": white.name,
-                "position_deg": _angles(white.position),
-                "xyz": white.xyz,
-                "at_cells": white.at_cells,
-                "relative_std": white.relative_std,
-            },
-            "reference_every_s": self.reference_every_s,
-            "reference_readings": self.reference_readings,
-            "goniometer": self.goniometer,
-            "colorimeter": self.colorimeter,
-            "simulated": self.simulated,
-            "sample": self.sample,
-            "started": self.started,
-            "stated": asdict(self.stated),
+            **{name: _plain(getattr(self, name)) for name in _Said.__struct_fields__},
         }
 
 
@@ -104,28 +91,6 @@ class Session(Struct, frozen=True, tag_field="record", tag="session"):
 Record = TakenReading | Decision | Reference | Fault | Session
 
 
-class _WhiteEntry(Struct):
-    name: str
-    position_deg: Triple
-    xyz: Triple
-    at_cells: tuple[Triple, ...]
-    relative_std: NotNegative
-
-
-class _HeaderLine(Struct):
-    plan_hash: str
-    plan: dict[str, Any]
-    white: _WhiteEntry
-    reference_every_s: Finite
-    reference_readings: Count
-    goniometer: str
-    colorimeter: str
-    simulated: bool
-    sample: str
-    started: str
-    stated: StatedUncertainty = StatedUncertainty()
-
-
 class _Light(Struct, kw_only=True, omit_defaults=True, tag_field="record"):
     """What an instrument answered; `nm` is first and last where wavelengths are evenly spaced."""
 
@@ -141,7 +106,7 @@ class _ReadingLine(_Light, tag="reading"):
     number: Count
     cell: Count
     target: Target
-    angles_deg: Triple
+    angles_deg: Position
 
 
 class _ReferenceLine(_Light, tag="reference"):
@@ -176,25 +141,11 @@ def header_from_json(data: dict[str, Any]) -> Header:
         raise InputError("not the header of a scan's journal")
     if data.get("format") != FORMAT:
         raise InputError(f"journal format: expected {FORMAT}, got {data.get('format')!r:.80}")
-    line = checked(data, _HeaderLine, "")
-    white = line.white
-    header = Header(
-        plan=plan_from_json(line.plan),
-        white=White(
-            Position(*white.position_deg), white.xyz, white.name, white.at_cells, white.relative_std
-        ),
-        reference_every_s=line.reference_every_s,
-        reference_readings=line.reference_readings,
-        goniometer=line.goniometer,
-        colorimeter=line.colorimeter,
-        simulated=line.simulated,
-        sample=line.sample,
-        started=line.started,
-        stated=line.stated,
-    )
-    if header.plan.hash != line.plan_hash:
+    said = checked(data, _Said, "")
+    plan = plan_from_json(data.get("plan"))
+    if plan.hash != data.get("plan_hash"):
         raise InputError("the plan is not the one that its hash was made of; it was changed")
-    return header
+    return Header(plan=plan, **{name: getattr(said, name) for name in said.__struct_fields__})
 
 
 def record_as_json(record: Record, taken: int) -> dict[str, Any]:
@@ -202,7 +153,7 @@ def record_as_json(record: Record, taken: int) -> dict[str, Any]:
     line: Struct
     if isinstance(record, TakenReading):
         step = record.step
-        line = _ReadingLine(taken, step.cell, step.target, _angles(step.position), **_light(record))
+        line = _ReadingLine(taken, step.cell, step.target, step.position, **_light(record))
     elif isinstance(record, Reference):
         line = _ReferenceLine(record.series, record.target, **_light(record))
     elif isinstance(record, Decision):
@@ -210,7 +161,7 @@ def record_as_json(record: Record, taken: int) -> dict[str, Any]:
         line = _DecisionLine(record.after, cells, record.why, record.rms, record.log_error)
     else:
         line = record
-    return to_builtins(line, enc_hook=np.generic.item)  # a number of NumPy's, too
+    return _plain(line)
 
 
 def record_from_json(data: dict[str, Any], taken: int) -> Record:
@@ -228,7 +179,7 @@ def record_from_json(data: dict[str, Any], taken: int) -> Record:
             raise InputError(
                 f"reading {line.number} where {taken} was to follow; one is missing or there twice"
             )
-        step = Step(line.cell, Position(*line.angles_deg), line.target)
+        step = Step(line.cell, line.angles_deg, line.target)
         return TakenReading(step, _reading(line), line.time_s)
     if isinstance(line, _ReferenceLine):
         return Reference(line.series, line.target, _reading(line), line.time_s)
@@ -239,8 +190,8 @@ def record_from_json(data: dict[str, Any], taken: int) -> Record:
     return line
 
 
-def _angles(position: Position) -> Triple:
-    return position.incidence_deg, position.receiving_deg, position.tilt_deg
+def _plain(value: Any) -> Any:
+    return to_builtins(value, enc_hook=np.generic.item)  # a number of NumPy's, too
 
 
 def _light(record: TakenReading | Reference) -> dict[str, Any]:

@@ -29,13 +29,13 @@ class _Adaptive(_Fixed):
     target: Finite | None
 
 
-def plan_from_json(data: dict[str, Any]) -> Plan:
+def plan_from_json(data: Any) -> Plan:
     """The plan that `as_json` describes.
 
     Raises:
         InputError: it is not one.
     """
-    kind = data.get("kind")
+    kind = data.get("kind") if isinstance(data, dict) else data
     if kind not in ("fixed", "adaptive"):
         raise InputError(f"plan: kind: expected fixed or adaptive, got {kind!r:.80}")
     said = checked(data, _Fixed if kind == "fixed" else _Adaptive, "plan")
@@ -49,7 +49,7 @@ def plan_from_json(data: dict[str, Any]) -> Plan:
     }
     if not isinstance(said, _Adaptive):
         return FixedPlan(**known)
-    candidates = checked_cells(said.candidates, "plan")
+    candidates = checked_cells(said.candidates, "plan: candidates")
     if not is_in(known["cells"], candidates).all():
         raise InputError("plan: expected cells among its candidates, got others")
     return AdaptivePlan(**known, candidates=candidates, budget=said.budget, target=said.target)

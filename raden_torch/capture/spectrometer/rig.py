@@ -6,7 +6,7 @@ the ranges that it may have; made in code, they are not checked.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,6 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta, Struct
 from msgspec import field as named
+from msgspec.structs import force_setattr
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import Colorimeter, Goniometer, Position, Target
@@ -25,13 +26,21 @@ Angle = Literal["incidence", "receiving", "tilt"]
 ANGLES: tuple[Angle, Angle, Angle] = ("incidence", "receiving", "tilt")
 """The three angles of a position, in the order in which every table here keeps them."""
 
-MANUAL = "manual"
+MANUAL: Literal["manual"] = "manual"
 """Done by the operator."""
 
 Baud = Annotated[int, Meta(ge=300, le=4_000_000)]
 Degree = Annotated[float, Meta(ge=-180, le=180)]
 Spread = Annotated[float, Meta(ge=0, le=10)]
-Show = Annotated[tuple[str, ...] | str, Meta(description="a list of G-code lines or 'manual'")]
+Show = Annotated[
+    tuple[str, ...] | Literal["manual"], Meta(description="a list of G-code lines or 'manual'")
+]
+
+_QUESTIONS = {
+    Target.SAMPLE: "Put the sample in place, with the lamp open",
+    Target.WHITE: "Put the white reference in the sample's place, with the lamp open",
+    Target.DARK: "Shut the lamp",
+}
 
 Ask = Callable[[str], None]
 """Shows an operator one line and returns when it has been done."""
@@ -60,6 +69,9 @@ class Axis(Struct, frozen=True, forbid_unknown_fields=True):
     zero_deg: Annotated[float, Meta(ge=-3600, le=3600)] = 0.0
     zero_std_deg: Spread = 0.05
     position_std_deg: Spread = 0.02
+
+    def __post_init__(self) -> None:
+        force_setattr(self, "letter", self.letter.upper())
 
     def motor(self, angle_deg: float) -> float:
         return self.zero_deg + self.direction * angle_deg
@@ -101,25 +113,49 @@ class WhiteReference:
         return self.factor / 100.0 * D65_XYZ
 
 
+class Axes(Struct, frozen=True, forbid_unknown_fields=True):
+    """The axis of each angle."""
+
+    incidence: Axis
+    receiving: Axis
+    tilt: Axis
+
+    def __getitem__(self, name: Angle) -> Axis:
+        axis: Axis = getattr(self, name)
+        return axis
+
+
+class Shows(Struct, frozen=True, forbid_unknown_fields=True):
+    """What puts each target before the instrument: lines to send, or `MANUAL`."""
+
+    sample: Show = MANUAL
+    white: Show = MANUAL
+    dark: Show = MANUAL
+
+    def __getitem__(self, target: Target) -> tuple[str, ...] | str:
+        """The lines, or a text for the operator."""
+        lines = getattr(self, target.value)
+        return _QUESTIONS[target] if lines == MANUAL else lines
+
+
 class GoniometerSettings(Struct, frozen=True, forbid_unknown_fields=True):
     """All that a goniometer's driver needs to know. Times in seconds, angles in degrees.
 
     Attributes:
         port: a device ("/dev/ttyUSB0", "COM3") or a URL of pyserial ("socket://host:port").
-        axes: the axis of each angle of `ANGLES`.
         approach_deg: how far below its target an axis starts its last move where it would
             otherwise arrive from above: more than the backlash. 0 for none.
         feed_deg_per_min: of every move; None for the controller's own rapid rate.
         rapid_deg_per_s: that rate, for estimates of time alone.
         settle_s: how long to wait after arrival.
         homing: the command that homes; "manual" where the rig has no switches.
-        shows: for each target the lines to send, or a text for the operator; `show` in the file.
+        shows: `show` in the file.
         poll_s: between two status requests (GRBL asks for 0.2 or more).
     """
 
     driver: Text
     port: Text
-    axes: Mapping[Angle, Axis]
+    axes: Axes
     baud: Baud = 115200
     approach_deg: Spread = 1.0
     feed_deg_per_min: Annotated[float, Meta(ge=1, le=1e6)] | None = None
@@ -133,7 +169,7 @@ class GoniometerSettings(Struct, frozen=True, forbid_unknown_fields=True):
     connect_timeout_s: Annotated[float, Meta(ge=0.2, le=60)] = 6.0
     move_timeout_s: Annotated[float, Meta(ge=1, le=3600)] = 600.0
     poll_s: Annotated[float, Meta(ge=1e-4, le=10)] = 0.2
-    shows: Mapping[Target, Show] = named(name="show", default_factory=dict)
+    shows: Shows = named(name="show", default=Shows())
 
 
 class ColorimeterSettings(Struct, frozen=True, forbid_unknown_fields=True):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+
+from msgspec import Struct, field
 
 from raden_torch.capture.spectrometer.ports import Position
 from raden_torch.errors import InputError
@@ -13,8 +14,7 @@ Triple = tuple[float, float, float]
 _MOST = 300.0  # no white reflects three times as much as a perfect diffuser
 
 
-@dataclass(frozen=True)
-class White:
+class White(Struct, frozen=True):
     """A white reference as a scan uses it, and as its journal keeps it.
 
     Attributes:
@@ -26,7 +26,7 @@ class White:
         relative_std: the certificate's standard uncertainty (k = 1), relative to `xyz`.
     """
 
-    position: Position
+    position: Position = field(name="position_deg")
     xyz: Triple
     name: str = "white reference"
     at_cells: tuple[Triple, ...] = ()
