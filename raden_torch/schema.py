@@ -100,21 +100,23 @@ def checked(document: Any, kind: type[T], where: str) -> T:
 def _explained(document: Any, kind: Any, error: msgspec.ValidationError) -> tuple[str, str]:
     """The place, which may be empty, and what is wrong there."""
     text, way = _MESSAGE.fullmatch(str(error)).groups("")  # type: ignore[union-attr]
-    if text.startswith("Object contains unknown field") and not text.endswith("`"):
+    unknown = text.startswith("Object contains unknown field")
+    if unknown and not text.endswith("`"):
         way = ""  # was a part of its name
+    way, unnamed, _ = way.partition("[...]")  # in a table of any keys: msgspec tells no more
     schema = msgspec.json.schema(kind)
     node, value, place = _Node(schema, schema.get("$defs", {})), document, ""
-    for key, index in re.findall(r"\.(\w+)|\[(\d+)\]", way.partition("[...]")[0]):
+    for key, index in re.findall(r"\.(\w+)|\[(\d+)\]", way):
         node, value = node.entry(key or int(index)), value[key or int(index)]
         place += f".{key}" if key else f"[{index}]"
     if isinstance(error.__cause__, InputError):  # what an object says of itself
         return place[1:], str(error.__cause__)
     missing = re.fullmatch(r"Object missing required field `(.*)`", text)
-    if missing:
+    if missing and not unnamed:
         key, expected = missing[1], node.entry(missing[1]).words()
         near = get_close_matches(key, set(value) - set(node.names()), 1)
         got = "none" + (f"; is it {near[0]!r}?" if near else "")
-    elif text.startswith("Object contains unknown field"):
+    elif unknown and not unnamed:
         key = next(key for key in value if key not in node.names())
         near = get_close_matches(key, node.names(), 1)
         expected = f"one of {', '.join(sorted(node.names()))}"
@@ -170,8 +172,8 @@ class _Node:
         if "properties" in content:
             return f"a table with {', '.join(self.names())}"
         if isinstance(content.get("additionalProperties"), dict):
-            each = _Node(content["additionalProperties"], self._definitions)
-            return f"a table, in which each entry is {each.words()}"
+            entry = _Node(content["additionalProperties"], self._definitions)
+            return f"a table, in which each entry is {entry.words()}"
         if content.get("minItems"):
             return f"a list of {content['minItems']} or more"
         return _WORDS.get(kind, "another value")

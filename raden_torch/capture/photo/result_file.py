@@ -80,8 +80,9 @@ def read_result(path: str | os.PathLike[str], kind: str, schema: type[T]) -> T:
         raise InputError(f"{path}: expected {what}, got another file")
     if found.get("version") != VERSION:
         raise InputError(f"{path}: expected version {VERSION}, got {found.get('version')!r:.80}")
-    if found.get("kind") != kind:
-        raise InputError(f"{path}: expected a {kind} file, got a {found.get('kind')!s:.80} file")
+    if (other := found.get("kind")) != kind:
+        shown = other if isinstance(other, str) and other.isprintable() else repr(other)
+        raise InputError(f"{path}: expected a {kind} file, got a {shown:.40} file")
     return checked(found, schema, str(path))
 
 
