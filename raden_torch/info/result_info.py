@@ -26,14 +26,6 @@ class _Normals(Struct):
     notes: list[str] = []
 
 
-class _Terms(Struct):
-    total: Finite
-
-
-class _Stance(Struct):
-    text: str
-
-
 class _Brdf(Struct):
     shape: str
     grid_step_deg: Finite
@@ -42,8 +34,8 @@ class _Brdf(Struct):
     coverage: Finite
     samples: Count
     photographs: list[Any]
-    median_relative_std_percent: dict[str, _Terms]
-    next: list[_Stance]
+    median_relative_std_percent: dict[str, dict[str, Finite]]
+    next: list[dict[str, Any]]
     notes: list[str] = []
 
 
@@ -154,10 +146,10 @@ def _brdf(path: Path) -> str:
             f"grid of {found.grid_step_deg:g} deg: {found.cells_covered} of {found.cells} "
             f"cells covered ({100 * found.coverage:.1f} %), {found.samples} samples",
             *(
-                f"standard deviation, {region}: {terms.total:.3g} % (median)"
+                f"standard deviation, {region}: {terms['total']:.3g} % (median)"
                 for region, terms in found.median_relative_std_percent.items()
             ),
-            *(f"next: {stance.text}" for stance in found.next),
+            *(f"next: {stance['text']}" for stance in found.next),
             *(f"note: {note}" for note in found.notes),
         ]
     )

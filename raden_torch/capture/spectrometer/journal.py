@@ -31,19 +31,7 @@ from raden_torch.capture.spectrometer.scan_plan import Decision, TakenReading
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable, written_beside
 
-__all__ = [
-    "FINISHED",
-    "Fault",
-    "Header",
-    "Journal",
-    "JournalContents",
-    "JournalFile",
-    "JournalWriteError",
-    "Record",
-    "Reference",
-    "Session",
-    "read_journal",
-]
+__all__ = ["Fault", "Header", "Record", "Reference", "Session"]  # beside what is defined here
 
 MAX_BYTES = 8_000_000_000
 FINISHED = "finished"
