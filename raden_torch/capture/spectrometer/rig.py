@@ -19,6 +19,7 @@ from msgspec.structs import force_setattr
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import Colorimeter, Goniometer, Position, Target
 from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
+from raden_torch.capture.spectrometer.white_reference import UNNAMED
 from raden_torch.schema import Text
 
 Angle = Literal["incidence", "receiving", "tilt"]
@@ -96,7 +97,7 @@ class WhiteReference:
     factor: float | None = 99.0
     file: Path | None = None
     geometry: Position = field(default_factory=lambda: Position(45.0, 0.0, 0.0))
-    name: str = "white reference"
+    name: str = UNNAMED
     relative_std: float = 0.0
 
     def xyz(self, position: Position) -> Floats:

@@ -20,6 +20,7 @@ from raden_torch.capture.spectrometer.rig import (
     Rig,
     WhiteReference,
 )
+from raden_torch.capture.spectrometer.white_reference import UNNAMED
 from raden_torch.errors import InputError
 from raden_torch.schema import Text, checked, read_document
 
@@ -40,7 +41,7 @@ class _White(Struct, forbid_unknown_fields=True):
     reflectance_factor: Annotated[float, Meta(ge=0, le=1000)] | None = None
     file: Text | None = None
     geometry_deg: tuple[RightAngle, RightAngle, RightAngle] = (45.0, 0.0, 0.0)
-    name: Text = "white reference"
+    name: Text = UNNAMED
     relative_std: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
 
 

@@ -11,6 +11,9 @@ from raden_torch.errors import InputError
 
 Triple = tuple[float, float, float]
 
+UNNAMED = "white reference"
+"""The name of a white whose certificate was not named."""
+
 _MOST = 300.0  # no white reflects three times as much as a perfect diffuser
 
 
@@ -28,7 +31,7 @@ class White(Struct, frozen=True):
 
     position: Position = field(name="position_deg")
     xyz: Triple
-    name: str = "white reference"
+    name: str = UNNAMED
     at_cells: tuple[Triple, ...] = ()
     relative_std: float = 0.0
 
