@@ -302,15 +302,13 @@ def _original_lamp(
     """The lamp that a photograph was taken under."""
     if not isinstance(original, Path):
         return DirectionalLight(original)
-    from raden_torch.capture.photo.result_file import numbers, read_result
+    from raden_torch.capture.photo.normals_file import KIND, NormalsFile
+    from raden_torch.capture.photo.result_file import read_result
 
-    lamps = read_result(original, "normals", ("lamps",))["lamps"]
-    is_list = isinstance(lamps, list) and all(isinstance(lamp, dict) for lamp in lamps)
-    for lamp in lamps if is_list else ():
-        if lamp.get("photograph") == photograph.name:
-            direction = numbers(original, lamp, "direction_to_lamp", (3,))
+    for lamp in read_result(original, KIND, NormalsFile).lamps:
+        if lamp.photograph == photograph.name:
             try:
-                return DirectionalLight(direction.tolist())
+                return DirectionalLight(lamp.direction_to_lamp)
             except InputError as error:
                 raise InputError(f"{original}: {error}") from None
     raise InputError(

@@ -27,7 +27,8 @@ from raden_torch.packages import EXTRAS, MissingPackageError, require
 PACKAGE = Path(raden_torch.__file__).parent
 PROJECT = PACKAGE.parent
 MODULES = {module: package for extra in EXTRAS.values() for module, package in extra.items()}
-CORE = {"torch", "kornia", "numpy", "scipy", "threadpoolctl", "safetensors", "typer", "rich"}
+CORE = {"torch", "kornia", "numpy", "scipy", "threadpoolctl", "safetensors", "msgspec"}
+CORE |= {"typer", "rich"}
 
 WORKS = [
     "--help",

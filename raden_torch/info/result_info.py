@@ -2,18 +2,41 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from msgspec import Struct
+
 from raden_torch.errors import InputError
+from raden_torch.schema import Count, Finite, read_document
 
 if TYPE_CHECKING:
     from raden_torch.capture.photo.camera import Camera
 
-_MAX_BYTES = 100_000_000
+
+class _Normals(Struct):
+    lamps: list[Any]
+    files: dict[str, str]
+    method: str
+    pixels_solved: Count
+    median_confidence: Finite
+    median_standard_error_deg: Finite
+    notes: list[str] = []
+
+
+class _Brdf(Struct):
+    shape: str
+    grid_step_deg: Finite
+    cells: Count
+    cells_covered: Count
+    coverage: Finite
+    samples: Count
+    photographs: list[Any]
+    median_relative_std_percent: dict[str, dict[str, Finite]]
+    next: list[dict[str, Any]]
+    notes: list[str] = []
 
 
 def recognises_result(head: bytes) -> bool:
@@ -96,32 +119,40 @@ def _colour(path: Path) -> str:
 
 
 def _normals(path: Path) -> str:
-    found = _result(path, "normals", ("lamps", "files", "method", "pixels_solved"))
-    error = found["median_standard_error_deg"]
+    from raden_torch.capture.photo.result_file import read_result
+
+    found = read_result(path, "normals", _Normals)
     return "\n".join(
         [
             "normals of an object, written by `raden capture normals`",
-            f"{found['pixels_solved']} pixels solved from {len(found['lamps'])} photographs, "
-            f"method {found['method']}",
-            f"median confidence {found['median_confidence']:g}, standard error {error:g} deg",
-            f"maps beside it: {', '.join(found['files'].values())}",
-            *_notes(found),
+            f"{found.pixels_solved} pixels solved from {len(found.lamps)} photographs, "
+            f"method {found.method}",
+            f"median confidence {found.median_confidence:g}, standard error "
+            f"{found.median_standard_error_deg:g} deg",
+            f"maps beside it: {', '.join(found.files.values())}",
+            *(f"note: {note}" for note in found.notes),
         ]
     )
 
 
 def _brdf(path: Path) -> str:
-    found = _result(path, "brdf", ("shape", "grid_step_deg", "cells", "cells_covered"))
-    lines = [
-        f"report of a BRDF from {len(found['photographs'])} photographs of a {found['shape']}, "
-        "written by `raden capture brdf`",
-        f"grid of {found['grid_step_deg']:g} deg: {found['cells_covered']} of {found['cells']} "
-        f"cells covered ({100 * found['coverage']:.1f} %), {found['samples']} samples",
-    ]
-    for region, terms in found["median_relative_std_percent"].items():
-        lines.append(f"standard deviation, {region}: {terms['total']:.3g} % (median)")
-    lines += [f"next: {stance['text']}" for stance in found["next"]]
-    return "\n".join([*lines, *_notes(found)])
+    from raden_torch.capture.photo.result_file import read_result
+
+    found = read_result(path, "brdf", _Brdf)
+    return "\n".join(
+        [
+            f"report of a BRDF from {len(found.photographs)} photographs of a {found.shape}, "
+            "written by `raden capture brdf`",
+            f"grid of {found.grid_step_deg:g} deg: {found.cells_covered} of {found.cells} "
+            f"cells covered ({100 * found.coverage:.1f} %), {found.samples} samples",
+            *(
+                f"standard deviation, {region}: {terms['total']:.3g} % (median)"
+                for region, terms in found.median_relative_std_percent.items()
+            ),
+            *(f"next: {stance['text']}" for stance in found.next),
+            *(f"note: {note}" for note in found.notes),
+        ]
+    )
 
 
 _RESULTS: dict[str, Callable[[Path], str]] = {
@@ -183,24 +214,8 @@ def _is_json_with(head: bytes, pattern: bytes) -> bool:
     return head.lstrip()[:1] == b"{" and re.search(pattern, head) is not None
 
 
-def _result(path: Path, kind: str, keys: tuple[str, ...]) -> dict[str, Any]:
-    from raden_torch.capture.photo.result_file import read_result
-
-    return read_result(path, kind, keys)
-
-
 def _parsed(path: Path) -> dict[str, Any]:
-    size = path.stat().st_size
-    if size > _MAX_BYTES:
-        raise InputError(
-            f"{path}: expected at most {_MAX_BYTES / 1e6:g} MB, got {size / 1e6:.0f} MB"
-        )
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path}: expected JSON, got a truncated or damaged file ({error})"
-        ) from None
+    found: dict[str, Any] = read_document(path, "a file that raden wrote")
     return found
 
 

@@ -52,6 +52,8 @@ def recognises_rig(head: bytes) -> bool:
 
 def describe_rig(path: Path) -> str:
     """Instruments, axes and their limits, obstruction, white reference."""
+    from msgspec.structs import asdict
+
     from raden_torch.capture.spectrometer.rig_config import load_rig
 
     rig = load_rig(path)
@@ -64,7 +66,7 @@ def describe_rig(path: Path) -> str:
         *(
             f"{name}: axis {axis.letter}, {axis.limits_deg[0]:g}…{axis.limits_deg[1]:g} deg, "
             f"zero at {axis.zero_deg:g} deg, direction {axis.direction:+d}"
-            for name, axis in stage.axes.items()
+            for name, axis in asdict(stage.axes).items()
         ),
         f"colorimeter: {meter.driver} at {meter.port}{', with spectrum' if meter.spectrum else ''}",
         f"white reference: {white.name}, {factor}, read at incidence {at.incidence_deg:g}, "

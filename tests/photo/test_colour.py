@@ -100,8 +100,8 @@ def test_file(tmp_path: Path) -> None:
         (('"least squares"', '"magic"'), "method: expected .*, got 'magic'"),
         (('"kind": "colour"', '"kind": "camera"'), "expected a colour file, got a camera file"),
         (('"version": 1', '"version": 9'), "expected version 1, got 9"),
-        (('"matrix"', '"matrox"'), "got one without matrix"),
-        (("{", "["), "not JSON"),
+        (('"matrix"', '"matrox"'), r"matrix: expected 3 rows, got none; is it 'matrox'\?"),
+        (("{", "["), "no valid JSON"),
     ):
         path.write_text(text.replace(*change, 1))
         with pytest.raises(InputError, match=message):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from raden_torch.capture.spectrometer.grbl import GrblGoniometer
 from raden_torch.capture.spectrometer.grbl_line import parse_status
@@ -22,6 +22,7 @@ from raden_torch.capture.spectrometer.ports import (
     Target,
 )
 from raden_torch.capture.spectrometer.rig import (
+    Axes,
     Axis,
     ColorimeterSettings,
     GoniometerSettings,
@@ -35,11 +36,11 @@ QUICK = {110 + i: "60000" for i in range(6)} | {120 + i: "20000" for i in range(
 
 
 def rig_at(port: str, letters: str = "ABC", **changes) -> Rig:
-    axes = {
-        "incidence": Axis(letters[0], 1, 0.0, (-5.0, 90.0)),
-        "receiving": Axis(letters[1], -1, 10.0, (-90.0, 90.0)),
-        "tilt": Axis(letters[2], 1, -5.0, (-90.0, 90.0)),
-    }
+    axes = Axes(
+        Axis(letters[0], (-5.0, 90.0)),
+        Axis(letters[1], (-90.0, 90.0), -1, 10.0),
+        Axis(letters[2], (-90.0, 90.0), 1, -5.0),
+    )
     shows = {Target.SAMPLE: ("M9",), Target.WHITE: "Put the white tile in", Target.DARK: ("M8",)}
     settings = GoniometerSettings(
         "grbl",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import struct
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,18 @@ QUANTITY = "f_r in 1/sr, without the cosine"
 COLOUR = "linear RGB, sRGB primaries, D65 white, unclipped"
 _MAX_HEADER = 16_000_000
 _MAX_BYTES = 2_000_000_000
+
+
+@dataclass
+class _About:
+    """What is read of the metadata; the angles and pieces are those of a table."""
+
+    diffuse_gain: float
+    specular_gain: float
+    provenance: Provenance
+    first_deg: tuple[float, float, float] | None = None
+    step_deg: tuple[float, float, float] | None = None
+    pieces: Pieces | None = None
 
 
 def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
@@ -121,34 +133,25 @@ def assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenBr
     """A model from what `describe` says of it and its `state_dict`.
 
     Raises:
-        KeyError, TypeError, ValueError: the two do not make a model.
+        InputError: the two do not make a model.
+        KeyError, TypeError, ValueError: nor do the tensors.
     """
+    from raden_torch.schema import checked
+
+    said = checked(about, _About, "metadata")
     diffuse = table = None
     if "diffuse.scale" in tensors:
         diffuse = CosineDiffuse(tensors["diffuse.scale"], tensors["diffuse.exponent"])
     if "table.values" in tensors:
+        if said.first_deg is None or said.step_deg is None:
+            raise InputError("metadata: expected first_deg and step_deg of the table, got none")
         table = ReflectanceTable(
-            tensors["table.values"],
-            _three(about["first_deg"]),
-            _three(about["step_deg"]),
-            _pieces(about["pieces"]),
+            tensors["table.values"], said.first_deg, said.step_deg, said.pieces
         )
     return RadenBrdf(
         diffuse,
         table,
-        diffuse_gain=float(about["diffuse_gain"]),
-        specular_gain=float(about["specular_gain"]),
-        provenance=Provenance(**about["provenance"]),
+        diffuse_gain=said.diffuse_gain,
+        specular_gain=said.specular_gain,
+        provenance=said.provenance,
     )
-
-
-def _three(values: list[float]) -> tuple[float, float, float]:
-    a, r, t = (float(v) for v in values)
-    return a, r, t
-
-
-def _pieces(value: list[list[int]] | None) -> Pieces | None:
-    if value is None:
-        return None
-    a, across, t = (tuple(int(n) for n in cuts) for cuts in value)
-    return a, across, t

@@ -13,14 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.board import Board, BoardView
 from raden_torch.capture.photo.opencv_calibration import is_opencv_file, read_opencv_camera
-from raden_torch.capture.photo.result_file import numbers, read_result, write_result
+from raden_torch.capture.photo.result_file import read_result, write_result
 from raden_torch.errors import InputError
+from raden_torch.schema import Count, Finite, Matrix, NotNegative, Triple
 
-_KIND = "camera"
+KIND = "camera"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,27 @@ class Pose:
         return -self.rotation.T @ self.translation_m
 
 
+class PoseEntry(Struct):
+    """One photograph of a camera file."""
+
+    file: str
+    corners: Count
+    reprojection_rms_px: NotNegative
+    rotation_board_to_camera: Matrix
+    translation_board_to_camera_m: Triple
+
+
+class CameraFile(Struct):
+    """A camera file; `board` and `poses` are not in every one."""
+
+    camera_matrix_px: Matrix
+    distortion: tuple[Finite, ...]
+    image_width_px: Count
+    image_height_px: Count
+    board: Board | None = None
+    poses: tuple[PoseEntry, ...] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """A camera and how well it is known.
@@ -92,18 +115,11 @@ def read_camera(path: str | os.PathLike[str]) -> Camera:
     if is_opencv_file(Path(path)):
         camera = Camera(*read_opencv_camera(path))
     else:
-        found = read_result(
-            path,
-            _KIND,
-            ("camera_matrix_px", "distortion", "image_width_px", "image_height_px"),
-        )
-        height, width = (
-            int(numbers(path, found, f"image_{side}_px", ())) for side in ("height", "width")
-        )
+        found = read_result(path, KIND, CameraFile)
         camera = Camera(
-            numbers(path, found, "camera_matrix_px", (3, 3)),
-            numbers(path, found, "distortion", (-1,)),
-            (height, width),
+            np.array(found.camera_matrix_px),
+            np.array(found.distortion),
+            (found.image_height_px, found.image_width_px),
         )
     focal = np.diag(camera.matrix)[:2]
     if not ((focal > 0).all() and min(camera.size) > 0 and camera.matrix[2, 2] == 1):
@@ -161,7 +177,7 @@ def write_camera(
         }
         for view, pose in zip(views, poses, strict=True)
     ]
-    write_result(path, _KIND, content, made_from=made_from)
+    write_result(path, KIND, content, made_from=made_from)
 
 
 def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
@@ -170,20 +186,15 @@ def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
     Raises:
         InputError: not such a file, or damaged.
     """
-    found = read_result(path, _KIND, ("board", "poses"))
-    try:
-        board = Board(**found["board"])
-        poses = {
-            str(entry["file"]): Pose(
-                numbers(path, entry, "rotation_board_to_camera", (3, 3)),
-                numbers(path, entry, "translation_board_to_camera_m", (3,)),
-                float(entry["reprojection_rms_px"]),
-                int(entry["corners"]),
-            )
-            for entry in found["poses"]
-        }
-    except InputError:
-        raise
-    except (TypeError, KeyError, ValueError, OverflowError) as error:
-        raise InputError(f"{path}: its board or poses are damaged ({error!r})") from None
-    return board, poses
+    found = read_result(path, KIND, CameraFile)
+    if found.board is None or found.poses is None:
+        raise InputError(f"{path}: expected a board and its poses, got a camera file without")
+    return found.board, {
+        pose.file: Pose(
+            np.array(pose.rotation_board_to_camera),
+            np.array(pose.translation_board_to_camera_m),
+            pose.reprojection_rms_px,
+            pose.corners,
+        )
+        for pose in found.poses
+    }

@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.chart import Chart, Patches
 from raden_torch.capture.photo.chart_reference import NEUTRAL, PATCH_NAMES
-from raden_torch.capture.photo.result_file import numbers, read_result, write_result
+from raden_torch.capture.photo.result_file import read_result, write_result
 from raden_torch.errors import InputError
+from raden_torch.schema import Finite, NotNegative
 
-METHODS = {"least squares": 1, "root-polynomial 2": 2, "root-polynomial 3": 3}
+Method = Literal["least squares", "root-polynomial 2", "root-polynomial 3"]
+METHODS: Mapping[Method, int] = {"least squares": 1, "root-polynomial 2": 2, "root-polynomial 3": 3}
 """By name, the degree: 3, 6 and 13 terms a channel. All keep hue and chroma when the exposure
 changes, which ordinary polynomials do not."""
+Corner = tuple[Finite, Finite]
 _FEWEST = 18
 _EXPONENT = 0.12
-_KIND = "colour"
+KIND = "colour"
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +37,7 @@ class ColourCorrection:
         matrix: `[3, terms]`.
     """
 
-    method: str
+    method: Method
     matrix: Floats
 
     def to_xyz(self, rgb: NDArray[Any]) -> NDArray[np.float32]:
@@ -69,7 +73,7 @@ class ColourReport:
         notes: what the person should know.
     """
 
-    left_out: dict[str, tuple[float, float]]
+    left_out: Mapping[Method, tuple[float, float]]
     mean: float
     worst: float
     patches: Floats
@@ -92,6 +96,23 @@ class ColourReport:
                 *(f"note: {note}" for note in self.notes),
             ]
         )
+
+
+class LeftOut(Struct):
+    """Errors of one method in a colour file."""
+
+    mean: NotNegative
+    worst: NotNegative
+
+
+class ColourFile(Struct):
+    """What is read of a colour file; later steps can do without what has a default."""
+
+    method: Method
+    matrix: tuple[tuple[Finite, ...], tuple[Finite, ...], tuple[Finite, ...]]
+    chart: str = ""
+    chart_corners_px: tuple[Corner, Corner, Corner, Corner] | None = None
+    left_out_delta_e_2000: dict[str, LeftOut] = {}
 
 
 def fit_colour(
@@ -147,7 +168,7 @@ def write_colour(
     """Write a correction and its report for the next step (`read_colour`) and for a person."""
     write_result(
         path,
-        _KIND,
+        KIND,
         {
             "method": correction.method,
             "matrix": correction.matrix,
@@ -181,15 +202,17 @@ def read_colour(path: str | os.PathLike[str]) -> ColourCorrection:
     Raises:
         InputError: not such a file, or damaged.
     """
-    found = read_result(path, _KIND, ("method", "matrix"))
-    method = found["method"]
-    if not isinstance(method, str) or method not in METHODS:
-        raise InputError(f"{path}: method: expected one of {', '.join(METHODS)}, got {method!r}")
-    terms = {1: 3, 2: 6, 3: 13}[METHODS[method]]
-    return ColourCorrection(method, numbers(path, found, "matrix", (3, terms)))
+    found = read_result(path, KIND, ColourFile)
+    terms = {1: 3, 2: 6, 3: 13}[METHODS[found.method]]
+    for c, row in enumerate(found.matrix):
+        if len(row) != terms:
+            raise InputError(
+                f"{path}: matrix[{c}]: expected {terms} numbers for {found.method}, got {len(row)}"
+            )
+    return ColourCorrection(found.method, np.array(found.matrix))
 
 
-def _fitted(method: str, rgb: Floats, xyz: Floats) -> ColourCorrection:
+def _fitted(method: Method, rgb: Floats, xyz: Floats) -> ColourCorrection:
     import colour.characterisation as ccm
 
     matrix = ccm.matrix_colour_correction_Finlayson2015(
@@ -198,7 +221,7 @@ def _fitted(method: str, rgb: Floats, xyz: Floats) -> ColourCorrection:
     return ColourCorrection(method, np.asarray(matrix, np.float64))
 
 
-def _left_out(method: str, rgb: Floats, xyz: Floats) -> Floats:
+def _left_out(method: Method, rgb: Floats, xyz: Floats) -> Floats:
     predicted = np.empty_like(xyz)
     for i in range(len(xyz)):
         others = np.arange(len(xyz)) != i

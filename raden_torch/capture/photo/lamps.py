@@ -10,15 +10,17 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta, Struct
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.ball import Ball
 from raden_torch.capture.photo.highlight import Highlight
-from raden_torch.capture.photo.result_file import numbers, read_result, write_result
+from raden_torch.capture.photo.result_file import read_result, write_result
 from raden_torch.errors import InputError
+from raden_torch.schema import Finite, Matrix, Positive, Triple
 
 KIND = "lights"
 _PARALLEL_DEG = 0.5
@@ -123,6 +125,27 @@ class Lamps:
         return np.asarray(to_lamp / distance * (reference / distance) ** 2)
 
 
+class LampEntry(Struct):
+    """One lamp of a lights file."""
+
+    direction_to_lamp: Triple
+    intensity: Positive
+    photograph: str = ""
+    tint_rgb: tuple[Positive, Positive, Positive] | None = None
+    position_px: Triple | None = None
+    position_mm: Triple | None = None
+
+
+class LightsFile(Struct):
+    """What is read of a lights file."""
+
+    lamps: Annotated[tuple[LampEntry, ...], Meta(min_length=1)]
+    unit: Literal["px", "mm"]
+    response_exponent: Finite
+    camera_matrix_px: Matrix | None = None
+    camera_distortion: tuple[Finite, ...] | None = None
+
+
 def lamps_from_balls(
     balls: Sequence[Ball], highlights: Sequence[Sequence[Highlight]], *, unit: str = "px"
 ) -> Lamps:
@@ -225,37 +248,38 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
     Raises:
         InputError: missing, of another kind, or damaged.
     """
-    found = read_result(path, KIND, ("lamps", "unit", "response_exponent"))
-    rows = found["lamps"]
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows) or not rows:
-        raise InputError(f"{path}: lamps: expected a list of lamps, got {type(rows).__name__}")
-    unit = str(found["unit"])
-    columns = {key: [row.get(key) for row in rows] for key in rows[0]}
-    for key in ("direction_to_lamp", "intensity"):
-        if key not in columns:
-            raise InputError(f"{path}: expected a whole lights file, got a lamp without {key}")
-    direction = numbers(path, columns, "direction_to_lamp", (-1, 3))
+    found = read_result(path, KIND, LightsFile)
+    direction = np.array([lamp.direction_to_lamp for lamp in found.lamps])
     largest = abs(direction).max(axis=1, keepdims=True)
-    direction = direction / np.where(largest > 0, largest, 1)  # whose squares do not overflow
-    length = np.linalg.norm(direction, axis=1, keepdims=True)
-    intensity = numbers(path, columns, "intensity", (-1,))
-    if (length == 0).any() or (intensity <= 0).any():
-        raise InputError(
-            f"{path}: expected directions that are not zero and positive intensities, got a lamp "
-            "without"
-        )
-    key, matrix, lens = f"position_{unit}", "camera_matrix_px", "camera_distortion"
-    tint = numbers(path, columns, "tint_rgb", (-1, 3)) if "tint_rgb" in columns else None
-    if tint is not None and (tint <= 0).any():
-        raise InputError(f"{path}: tint_rgb: expected colours above 0, got {tint.min():g}")
+    if not largest.all():
+        k = int(np.argmin(largest))
+        raise InputError(f"{path}: lamps[{k}].direction_to_lamp: expected a direction, got 0, 0, 0")
+    direction = direction / largest  # whose squares do not overflow
     return Lamps(
-        direction / length,
-        intensity,
-        numbers(path, columns, key, (-1, 3)) if key in columns else None,
-        unit=unit,
-        exponent=float(numbers(path, found, "response_exponent", ())),
-        matrix=numbers(path, found, matrix, (3, 3)) if matrix in found else None,
-        distortion=numbers(path, found, lens, (-1,)) if lens in found else None,
-        tint=tint,
-        names=tuple(str(row.get("photograph", "")) for row in rows),
+        direction / np.linalg.norm(direction, axis=1, keepdims=True),
+        np.array([lamp.intensity for lamp in found.lamps]),
+        _column(path, found.lamps, f"position_{found.unit}"),
+        unit=found.unit,
+        exponent=found.response_exponent,
+        matrix=_array(found.camera_matrix_px),
+        distortion=_array(found.camera_distortion),
+        tint=_column(path, found.lamps, "tint_rgb"),
+        names=tuple(lamp.photograph for lamp in found.lamps),
     )
+
+
+def _array(values: Any) -> Floats | None:
+    return None if values is None else np.array(values)
+
+
+def _column(path: str | os.PathLike[str], lamps: Sequence[LampEntry], key: str) -> Floats | None:
+    """`[K, 3]` of what all lamps have, or none of them."""
+    values = [getattr(lamp, key) for lamp in lamps]
+    missing = [k for k, value in enumerate(values) if value is None]
+    if len(missing) == len(values):
+        return None
+    if missing:
+        raise InputError(
+            f"{path}: lamps[{missing[0]}].{key}: expected 3 numbers, as other lamps have, got none"
+        )
+    return np.array(values)

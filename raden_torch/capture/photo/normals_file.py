@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from msgspec import Struct
 from torch import Tensor
 
 from raden_torch.capture.photo.lambert_fit import Method
@@ -18,6 +19,7 @@ from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
 from raden_torch.capture.photo.result_file import write_result
 from raden_torch.images.exr import write_channels
 from raden_torch.images.pixels import write_pixels
+from raden_torch.schema import Triple
 
 KIND = "normals"
 FILES = {
@@ -28,6 +30,19 @@ FILES = {
 }
 _BRIGHT = 0.995
 """The share of the object that the albedo's picture shows without clipping."""
+
+
+class LitLamp(Struct):
+    """One lamp of a normals file."""
+
+    photograph: str
+    direction_to_lamp: Triple
+
+
+class NormalsFile(Struct):
+    """What is read of a normals file: the lamps that its photographs were taken under."""
+
+    lamps: tuple[LitLamp, ...]
 
 
 def write_normals(

@@ -16,15 +16,17 @@ from __future__ import annotations
 import json
 import os
 import re
-import reprlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
+from raden_torch.schema import checked, read_document
+
+T = TypeVar("T")
 
 FORMAT = "raden capture"
 VERSION = 1
@@ -63,58 +65,25 @@ def write_result(
         temporary.write_text(text + "\n", encoding="utf-8")
 
 
-def read_result(path: str | os.PathLike[str], kind: str, keys: Collection[str]) -> dict[str, Any]:
-    """Read a result of one kind, with at least these keys.
+def read_result(path: str | os.PathLike[str], kind: str, schema: type[T]) -> T:
+    """Read a result of one kind.
+
+    Args:
+        schema: a msgspec struct: what the reader needs of the file. Other keys are passed over.
 
     Raises:
-        InputError: missing, not such a file, of another kind or a newer version, or a key missing.
+        InputError: missing, not such a file, of another kind or version, or not as the schema asks.
     """
-    try:
-        found = json.loads(Path(path).read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise InputError(
-            f"{path}: expected a {kind} file of `raden capture`, got an error: {error.strerror}"
-        ) from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(
-            f"{path}: expected a {kind} file of `raden capture`, got a file that is not JSON "
-            f"({error})"
-        ) from None
+    what = f"a {kind} file of `raden capture`"
+    found = read_document(path, what)
     if not isinstance(found, dict) or found.get("format") != FORMAT:
-        raise InputError(f"{path}: expected a {kind} file of `raden capture`, got another file")
+        raise InputError(f"{path}: expected {what}, got another file")
     if found.get("version") != VERSION:
-        raise InputError(f"{path}: expected version {VERSION}, got {found.get('version')}")
-    if found.get("kind") != kind:
-        raise InputError(f"{path}: expected a {kind} file, got a {found.get('kind')} file")
-    missing = [key for key in keys if key not in found]
-    if missing:
-        raise InputError(
-            f"{path}: expected a whole {kind} file, got one without {', '.join(missing)}"
-        )
-    return found
-
-
-def numbers(
-    path: str | os.PathLike[str], found: Mapping[str, Any], key: str, shape: tuple[int, ...]
-) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """An array of a result, checked; −1 in `shape` stands for any length.
-
-    Raises:
-        InputError: other than finite numbers of that shape.
-    """
-    try:
-        array = np.asarray(found.get(key), np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.full(0, np.nan)
-    fits = array.ndim == len(shape) and all(
-        n in (-1, have) for n, have in zip(shape, array.shape, strict=True)
-    )
-    if not (fits and np.isfinite(array).all()):
-        wanted = " x ".join("n" if n < 0 else str(n) for n in shape) or "one"
-        raise InputError(
-            f"{path}: {key}: expected {wanted} finite numbers, got {reprlib.repr(found.get(key))}"
-        )
-    return array
+        raise InputError(f"{path}: expected version {VERSION}, got {found.get('version')!r:.80}")
+    if (other := found.get("kind")) != kind:
+        shown = other if isinstance(other, str) and other.isprintable() else repr(other)
+        raise InputError(f"{path}: expected a {kind} file, got a {shown:.40} file")
+    return checked(found, schema, str(path))
 
 
 def check_result_path(path: str | os.PathLike[str]) -> None:

@@ -20,7 +20,6 @@ from raden_torch.capture.spectrometer.scan_plan import (
     Decision,
     Plan,
     cells_as_json,
-    cells_from_json,
     checked_repeats,
 )
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
@@ -88,9 +87,9 @@ class AdaptivePlan(Plan):
         if count == 0:
             all_read = len(left) == 0
             return end("every cell is read" if all_read else f"{self.budget} cells are the budget")
-        gain = found.gain[_is_in(self.candidates, left)]
+        gain = found.gain[is_in(self.candidates, left)]
         cells = left[choose(gain, left, self.cells, count)]
-        share = gain[_is_in(left, cells)].sum() / max(gain.sum(), np.finfo(float).tiny)
+        share = gain[is_in(left, cells)].sum() / max(gain.sum(), np.finfo(float).tiny)
         return Decision(
             taken,
             _from(self.cells[-1], cells[short_order(cells)]),
@@ -107,7 +106,7 @@ class AdaptivePlan(Plan):
         cells = np.round(decision.cells, _DIGITS)
         if len(self.cells) + len(cells) > self.budget:
             raise InputError(f"a decision beyond the budget of {self.budget} cells")
-        if not _is_in(cells, _without(self.candidates, self.cells)).all():
+        if not is_in(cells, _without(self.candidates, self.cells)).all():
             raise InputError("a decision for a cell that was read already, or is not in the plan")
         return replace(self, cells=checked_cells(np.concatenate([self.cells, cells]), "decision"))
 
@@ -119,19 +118,6 @@ class AdaptivePlan(Plan):
             "budget": self.budget,
             "target": self.target,
         }
-
-    @classmethod
-    def from_json(cls, data: Any) -> AdaptivePlan:
-        """Raises InputError, KeyError, TypeError or ValueError where it is not what was written."""
-        plan = cls(
-            **cells_from_json(data),
-            candidates=checked_cells(data["candidates"], "plan"),
-            budget=int(data["budget"]),
-            target=None if data["target"] is None else float(data["target"]),
-        )
-        if not _is_in(plan.cells, plan.candidates).all():
-            raise InputError("plan: expected cells among its candidates, got others")
-        return plan
 
     def _next_count(self, cells: int) -> int:
         """How many cells the next batch has, after so many."""
@@ -210,10 +196,10 @@ def _one_of_equivalents(cells: Floats) -> Floats:
 
 
 def _without(cells: Floats, others: Floats) -> Floats:
-    return np.asarray(cells[~_is_in(cells, others)])
+    return np.asarray(cells[~is_in(cells, others)])
 
 
-def _is_in(cells: Floats, others: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def is_in(cells: Floats, others: Floats) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """`[M]`: which cells are among the others."""
     _, index = distinct(np.concatenate([others, cells]))
     return np.isin(index[len(others) :], index[: len(others)])

@@ -10,109 +10,35 @@ and is taken off when the journal is opened to go on.
 from __future__ import annotations
 
 import json
-import math
 import os
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
-import numpy as np
-
-from raden_torch.capture.spectrometer.plan_json import plan_from_json
-from raden_torch.capture.spectrometer.ports import ColorReading, Position, Range, Target
-from raden_torch.capture.spectrometer.scan_plan import Decision, Plan, Step, TakenReading
-from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
-from raden_torch.capture.spectrometer.white_reference import White
+from raden_torch.capture.spectrometer.journal_records import (
+    Fault,
+    Header,
+    Record,
+    Reference,
+    Session,
+    header_from_json,
+    record_as_json,
+    record_from_json,
+)
+from raden_torch.capture.spectrometer.scan_plan import Decision, TakenReading
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable, written_beside
 
-FORMAT = 1
+__all__ = ["Fault", "Header", "Record", "Reference", "Session"]  # beside what is defined here
+
 MAX_BYTES = 8_000_000_000
 FINISHED = "finished"
 
 
 class JournalWriteError(Exception):
     """A record could not be put on the disk; what was there before is whole."""
-
-
-@dataclass(frozen=True)
-class Header:
-    """What a journal says once, at its beginning.
-
-    Attributes:
-        plan: what is read, in which order.
-        white: the white reference, and where it is read.
-        reference_every_s: dark and white are read again after so many seconds.
-        reference_readings: how many readings of each.
-        goniometer, colorimeter: what the instruments said they are.
-        simulated: True where the instruments are simulated.
-        sample: the specimen's name.
-        started: date and time in UTC.
-        stated: what the rig states of its own uncertainty; nothing in the journals of old.
-    """
-
-    plan: Plan
-    white: White
-    reference_every_s: float
-    reference_readings: int
-    goniometer: str
-    colorimeter: str
-    simulated: bool
-    sample: str
-    started: str
-    stated: StatedUncertainty = field(default_factory=StatedUncertainty)
-
-    def as_json(self) -> dict[str, Any]:
-        return {
-            "record": "header",
-            "format": FORMAT,
-            "plan_hash": self.plan.hash,
-            "plan": self.plan.as_json(),
-            "white": self.white.as_json(),
-            "reference_every_s": self.reference_every_s,
-            "reference_readings": self.reference_readings,
-            "goniometer": self.goniometer,
-            "colorimeter": self.colorimeter,
-            "simulated": self.simulated,
-            "sample": self.sample,
-            "started": self.started,
-            "stated": self.stated.as_json(),
-        }
-
-
-@dataclass(frozen=True, slots=True)
-class Reference:
-    """One dark or white reading; those taken one after another have the same `series`."""
-
-    series: int
-    target: Target
-    reading: ColorReading
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """What an instrument did wrong, and how often the same reading had been tried by then."""
-
-    kind: str
-    text: str
-    attempt: int
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Session:
-    """Where a run began or ended."""
-
-    what: str
-    text: str
-    time_s: float
-
-
-Record = TakenReading | Decision | Reference | Fault | Session
 
 
 @dataclass
@@ -181,16 +107,11 @@ def read_journal(path: str | os.PathLike[str]) -> JournalContents:
                 break
             try:
                 if contents is None:
-                    contents = JournalContents(_header(record))
+                    contents = JournalContents(header_from_json(record))
                 else:
-                    _check_number(record, len(contents.taken))
-                    contents.add(_record(record))
+                    contents.add(record_from_json(record, len(contents.taken)))
             except InputError as error:
                 raise InputError(f"{path}: line {number}: {error}") from None
-            except (KeyError, TypeError, ValueError, OverflowError) as error:
-                raise InputError(
-                    f"{path}: line {number}: {type(error).__name__} {error}; not what a scan writes"
-                ) from None
             contents.whole_bytes += len(line)
     if contents is None:
         raise InputError(f"{path}: expected the journal of a scan, got an empty file")
@@ -266,7 +187,7 @@ class JournalFile:
         Raises:
             JournalWriteError: it could not be written.
         """
-        line = memoryview(_line(_as_json(record, len(self.contents.taken))))
+        line = memoryview(_line(record_as_json(record, len(self.contents.taken))))
         size = len(line)
         try:
             while line:
@@ -307,13 +228,6 @@ class JournalFile:
         self.close()
 
 
-def _check_number(record: dict[str, Any], taken: int) -> None:
-    if record["record"] == "reading" and record["number"] != taken:
-        raise InputError(
-            f"reading {record['number']} where {taken} was to follow; one is missing or there twice"
-        )
-
-
 def _check_replay(path: Path, contents: JournalContents) -> None:
     """Ask the plan again for every step: what was read must be what it says, in its order."""
     so_far: list[TakenReading] = []
@@ -339,143 +253,6 @@ def _parsed(line: bytes) -> dict[str, Any] | None:
 
 def _line(record: dict[str, Any]) -> bytes:
     return json.dumps(record, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-
-
-def _header(record: dict[str, Any]) -> Header:
-    if record.get("record") != "header":
-        raise InputError("not the header of a scan's journal")
-    if record["format"] != FORMAT:
-        raise InputError(f"journal format: expected {FORMAT}, got {record['format']!r}")
-    header = Header(
-        plan=plan_from_json(record["plan"]),
-        white=White.from_json(record["white"]),
-        reference_every_s=float(record["reference_every_s"]),
-        reference_readings=int(record["reference_readings"]),
-        goniometer=str(record["goniometer"]),
-        colorimeter=str(record["colorimeter"]),
-        simulated=bool(record["simulated"]),
-        sample=str(record["sample"]),
-        started=str(record["started"]),
-        stated=StatedUncertainty.from_json(record["stated"])
-        if "stated" in record
-        else StatedUncertainty(),
-    )
-    if header.plan.hash != record["plan_hash"]:
-        raise InputError("the plan is not the one that its hash was made of; it was changed")
-    return header
-
-
-def _as_json(record: Record, number: int) -> dict[str, Any]:
-    if isinstance(record, TakenReading):
-        position = record.step.position
-        return {
-            "record": "reading",
-            "number": number,
-            "cell": record.step.cell,
-            "target": record.step.target.value,
-            "angles_deg": [position.incidence_deg, position.receiving_deg, position.tilt_deg],
-            "time_s": record.time_s,
-            **_reading_as_json(record.reading),
-        }
-    if isinstance(record, Decision):
-        return {
-            "record": "decision",
-            "after": record.after,
-            "cells": record.cells.tolist(),
-            "why": record.why,
-            "estimated_rms": record.rms,
-            "estimated_log_error": record.log_error,
-        }
-    if isinstance(record, Reference):
-        return {
-            "record": "reference",
-            "series": record.series,
-            "target": record.target.value,
-            "time_s": record.time_s,
-            **_reading_as_json(record.reading),
-        }
-    if isinstance(record, Fault):
-        return {
-            "record": "fault",
-            "kind": record.kind,
-            "text": record.text,
-            "attempt": record.attempt,
-            "time_s": record.time_s,
-        }
-    return {
-        "record": "session",
-        "what": record.what,
-        "text": record.text,
-        "time_s": record.time_s,
-    }
-
-
-def _record(data: dict[str, Any]) -> Record:
-    kind = data["record"]
-    if kind == "decision":
-        return Decision(
-            int(data["after"]),
-            np.array(data["cells"], np.float64).reshape(-1, 3),
-            str(data["why"]),
-            float(data["estimated_rms"]),
-            float(data["estimated_log_error"]),
-        )
-    time_s = float(data["time_s"])
-    if kind == "reading":
-        position = Position(*(float(angle) for angle in data["angles_deg"]))
-        step = Step(int(data["cell"]), position, Target(data["target"]))
-        return TakenReading(step, _reading(data), time_s)
-    if kind == "reference":
-        return Reference(int(data["series"]), Target(data["target"]), _reading(data), time_s)
-    if kind == "fault":
-        return Fault(str(data["kind"]), str(data["text"]), int(data["attempt"]), time_s)
-    if kind == "session":
-        return Session(str(data["what"]), str(data["text"]), time_s)
-    raise InputError(f"record {kind!r} is not known")
-
-
-def _reading_as_json(reading: ColorReading) -> dict[str, Any]:
-    data: dict[str, Any] = {
-        "range": reading.range.value,
-        "xyz": reading.xyz.tolist() if reading.range is Range.OK else None,
-        "integration_s": reading.integration_s,
-    }
-    if reading.radiance is not None and reading.wavelengths_nm is not None:
-        data["nm"] = _compact(reading.wavelengths_nm.tolist())
-        data["radiance"] = reading.radiance.tolist()
-    return data
-
-
-def _reading(data: dict[str, Any]) -> ColorReading:
-    xyz = np.array([math.nan] * 3 if data["xyz"] is None else data["xyz"], np.float64)
-    if xyz.shape != (3,):
-        raise ValueError(f"xyz of shape {list(xyz.shape)}")
-    wavelengths = radiance = None
-    if "radiance" in data:
-        radiance = np.array(data["radiance"], np.float64)
-        wavelengths = _expanded(data["nm"], len(radiance))
-    integration = data["integration_s"]
-    return ColorReading(
-        xyz,
-        Range(data["range"]),
-        None if integration is None else float(integration),
-        wavelengths,
-        radiance,
-    )
-
-
-def _compact(wavelengths: Sequence[float]) -> Any:
-    """First and last where they are evenly spaced: a spectrum has some 400 of them."""
-    even = np.linspace(wavelengths[0], wavelengths[-1], len(wavelengths))
-    return [wavelengths[0], wavelengths[-1]] if np.array_equal(even, wavelengths) else wavelengths
-
-
-def _expanded(data: Sequence[float], count: int) -> Any:
-    if len(data) == 2 and count != 2:
-        return np.linspace(float(data[0]), float(data[1]), count)
-    if len(data) != count:
-        raise ValueError(f"{len(data)} wavelengths for {count} values")
-    return np.array(data, np.float64)
 
 
 def _lock(file: int, path: Path) -> None:

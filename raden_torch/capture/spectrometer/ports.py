@@ -10,7 +10,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from enum import Enum
 
+from msgspec import Struct
+
 from raden_torch.arrays import Floats
+from raden_torch.schema import Finite
 
 
 class InstrumentError(Exception):
@@ -29,13 +32,15 @@ class InstrumentBusyError(InstrumentError):
     """Not now (busy, warming up, its internal shutter moving): the same request may work later."""
 
 
-@dataclass(frozen=True, slots=True)
-class Position:
-    """Where the rig stands: the raden angles in degrees, as docs/conventions.md defines them."""
+class Position(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """Where the rig stands: the raden angles in degrees, as docs/conventions.md defines them.
 
-    incidence_deg: float
-    receiving_deg: float
-    tilt_deg: float
+    In files, a list of the three.
+    """
+
+    incidence_deg: Finite
+    receiving_deg: Finite
+    tilt_deg: Finite
 
 
 class Target(Enum):

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.journal import Header
-from raden_torch.capture.spectrometer.white_reference import White
+from raden_torch.capture.spectrometer.white_reference import UNNAMED
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.budget_terms import BudgetTerms
 from raden_torch.measurement.error_parts import zero_effects
@@ -69,7 +69,7 @@ def systematic_errors(header: Header, white_mean_std: float) -> SystematicErrors
     """
     here = header.white.position
     at_cells = bool(header.white.at_cells)
-    named = header.white.name != White.name  # a name that tells one white from another
+    named = header.white.name != UNNAMED  # a name that tells one white from another
     return SystematicErrors(
         scale_std=header.white.relative_std,
         scale_reference=header.white.name if named and header.white.relative_std else "",

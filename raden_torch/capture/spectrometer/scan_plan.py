@@ -17,7 +17,7 @@ from typing import Any, final
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import ColorReading, Position, Target
-from raden_torch.capture.spectrometer.scan_cells import Reachable, checked_cells, within_reach
+from raden_torch.capture.spectrometer.scan_cells import Reachable, within_reach
 from raden_torch.capture.spectrometer.travel import short_order, travel_deg
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
@@ -192,22 +192,6 @@ def cells_as_json(plan: Plan) -> dict[str, Any]:
         "white_at_each": plan.white_at_each,
         "excluded": [[*_angles(position), reason] for position, reason in plan.excluded],
         "as_given_deg": plan.as_given_deg,
-    }
-
-
-def cells_from_json(data: Any) -> dict[str, Any]:
-    """The arguments of a plan, out of what `cells_as_json` wrote.
-
-    Raises:
-        InputError: cells that are none. Also KeyError, TypeError, ValueError.
-    """
-    return {
-        "name": str(data["name"]),
-        "cells": checked_cells(data["cells"], "plan"),
-        "repeats": int(data["repeats"]),
-        "white_at_each": bool(data["white_at_each"]),
-        "excluded": tuple((Position(a, r, t), str(why)) for a, r, t, why in data["excluded"]),
-        "as_given_deg": float(data["as_given_deg"]),
     }
 
 

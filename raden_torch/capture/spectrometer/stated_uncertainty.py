@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 from raden_torch.errors import InputError
 
@@ -38,25 +37,3 @@ class StatedUncertainty:
                 )
         if not (math.isfinite(self.xyz_std) and 0.0 <= self.xyz_std < 1.0):
             raise InputError(f"stated uncertainty of XYZ: expected 0…1, got {self.xyz_std:g}")
-
-    def as_json(self) -> dict[str, Any]:
-        return {
-            "zero_std_deg": list(self.zero_std_deg),
-            "position_std_deg": list(self.position_std_deg),
-            "wavelength_std_nm": self.wavelength_std_nm,
-            "xyz_std": self.xyz_std,
-        }
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> StatedUncertainty:
-        return cls(
-            _triple(data["zero_std_deg"]),
-            _triple(data["position_std_deg"]),
-            float(data["wavelength_std_nm"]),
-            float(data["xyz_std"]),
-        )
-
-
-def _triple(values: Any) -> Triple:
-    a, r, t = (float(value) for value in values)
-    return a, r, t

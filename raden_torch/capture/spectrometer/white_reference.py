@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+
+from msgspec import Struct, field
 
 from raden_torch.capture.spectrometer.ports import Position
 from raden_torch.errors import InputError
 
 Triple = tuple[float, float, float]
 
+UNNAMED = "white reference"
+"""The name of a white whose certificate was not named."""
+
 _MOST = 300.0  # no white reflects three times as much as a perfect diffuser
 
 
-@dataclass(frozen=True)
-class White:
+class White(Struct, frozen=True):
     """A white reference as a scan uses it, and as its journal keeps it.
 
     Attributes:
@@ -27,9 +29,9 @@ class White:
         relative_std: the certificate's standard uncertainty (k = 1), relative to `xyz`.
     """
 
-    position: Position
+    position: Position = field(name="position_deg")
     xyz: Triple
-    name: str = "white reference"
+    name: str = UNNAMED
     at_cells: tuple[Triple, ...] = ()
     relative_std: float = 0.0
 
@@ -50,28 +52,3 @@ class White:
                 f"{self.name}: expected incidence and tilt below 90 degrees, got incidence "
                 f"{here.incidence_deg:g}, tilt {here.tilt_deg:g}, where no lamp can light it"
             )
-
-    def as_json(self) -> dict[str, Any]:
-        here = self.position
-        return {
-            "name": self.name,
-            "position_deg": [here.incidence_deg, here.receiving_deg, here.tilt_deg],
-            "xyz": list(self.xyz),
-            "at_cells": [list(xyz) for xyz in self.at_cells],
-            "relative_std": self.relative_std,
-        }
-
-    @classmethod
-    def from_json(cls, data: dict[str, Any]) -> White:
-        return cls(
-            position=Position(*(float(angle) for angle in data["position_deg"])),
-            xyz=_triple(data["xyz"]),
-            name=str(data["name"]),
-            at_cells=tuple(_triple(xyz) for xyz in data["at_cells"]),
-            relative_std=float(data["relative_std"]),
-        )
-
-
-def _triple(values: Any) -> Triple:
-    x, y, z = (float(value) for value in values)
-    return x, y, z

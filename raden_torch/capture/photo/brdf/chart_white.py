@@ -11,7 +11,8 @@ from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
 from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
 from raden_torch.capture.photo.chart_reference import PATCH_NAMES, reference_xyz
-from raden_torch.capture.photo.result_file import numbers, read_result
+from raden_torch.capture.photo.colour import ColourFile
+from raden_torch.capture.photo.result_file import read_result
 from raden_torch.errors import InputError
 
 _WHITE = PATCH_NAMES.index("white 9.5")
@@ -50,14 +51,16 @@ def chart_white(colour: Path | None, said: WhiteFactorSpec) -> tuple[Floats | No
 def _patch(path: str | os.PathLike[str]) -> tuple[Floats, str]:
     import cv2
 
-    found = read_result(path, "colour", ("chart", "chart_corners_px"))
-    corners = numbers(path, found, "chart_corners_px", (4, 2)).astype(np.float32)
+    found = read_result(path, "colour", ColourFile)
+    if found.chart_corners_px is None:
+        raise InputError(f"{path}: chart_corners_px: expected the chart's corners, got none")
+    corners = np.array(found.chart_corners_px, np.float32)
     chart = np.array([[0, 0], [6, 0], [6, 4], [0, 4]], np.float32)
     row, column = divmod(_WHITE, 6)
     half = _MEASURED / 2 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     square = np.array([column + 0.5, row + 0.5]) + half
     mapped = np.c_[square, np.ones(4)] @ cv2.getPerspectiveTransform(chart, corners).T
-    edition = str(found["chart"]).rpartition("edition ")[2]
+    edition = found.chart.rpartition("edition ")[2]
     return mapped[:, :2] / mapped[:, 2:], edition
 
 

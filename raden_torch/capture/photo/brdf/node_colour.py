@@ -9,7 +9,7 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.photo_white import Scale
-from raden_torch.capture.photo.colour import ColourCorrection, read_colour
+from raden_torch.capture.photo.colour import ColourCorrection, ColourFile, read_colour
 from raden_torch.capture.photo.result_file import read_result
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import RGB, XYZ
@@ -50,9 +50,9 @@ class NodeColour:
             rgb = scale.xyz @ xyz_to_rgb_matrix().T
             return cls(None, scale.mean_rgb, rgb, 0.0, RGB)
         correction = read_colour(path)
-        said = read_result(path, "colour", ()).get("left_out_delta_e_2000", {})
-        mean = said.get(correction.method, {}).get("mean", 0.0) if isinstance(said, dict) else 0.0
-        return cls(correction, scale.mean_rgb, scale.xyz, float(mean), XYZ)
+        said = read_result(path, "colour", ColourFile).left_out_delta_e_2000
+        mean = said[correction.method].mean if correction.method in said else 0.0
+        return cls(correction, scale.mean_rgb, scale.xyz, mean, XYZ)
 
     def factors(self, relative: Floats) -> Floats:
         """`[M, 3]` relative to the white → reflectance factors; NaN stays."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
 from raden_torch.capture.photo.brdf.lighting import Lamp, lamps_of_shots
 from raden_torch.capture.photo.brdf.shots import Shot, shots_of
-from raden_torch.capture.photo.camera import Camera, Pose, read_camera, read_poses
+from raden_torch.capture.photo.camera import Camera, CameraFile, Pose, read_camera, read_poses
 from raden_torch.capture.photo.development import developed
 from raden_torch.capture.photo.exposures import CEILING, unsaturated
 from raden_torch.capture.photo.lamps import read_lamps
@@ -137,7 +137,7 @@ def _poses(path: Path | None) -> dict[str, Pose]:
     if (
         path is None
         or path.suffix.lower() != ".json"
-        or "poses" not in read_result(path, "camera", ())
+        or read_result(path, "camera", CameraFile).poses is None
     ):
         return {}
     return read_poses(path)[1]
