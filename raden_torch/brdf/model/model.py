@@ -52,9 +52,10 @@ class RadenBrdf(nn.Module):
     """A reflection model: a diffuse formula and a table of what was measured.
 
     The specular part is what the table holds beyond the diffuse part, spec = w (table − diffuse),
-    with the table's weight w: 1 in the table, fading to 0 beyond. So with both gains at 1 the
-    model is the table itself where that reaches (to the horizon, unless `fit` was asked for the
-    paper's rule), and the diffuse part beyond.
+    with the table's weight w: 1 in the table, fading to 0 beyond. It is negative where the formula
+    lies above the table. So with both gains at 1 the model is the table itself where that reaches
+    (to the horizon, unless `fit` was asked for the paper's rule), and the diffuse part beyond;
+    other gains may make it negative.
 
     Differentiable in the vectors, the table (`table.values`) and the diffuse parameters
     (`diffuse.scale`, `diffuse.exponent`). Either part may be None: it then costs nothing.
