@@ -323,9 +323,9 @@ class BrdfMeasurement:
         if missing.any():
             row, channel = np.unravel_index(int(np.argmax(missing)), self.values.shape)
             raise InputError(
-                f"measurement: {self.channels[channel]} is {self.values[row, channel]:g} in "
-                f"reading {row + 1}: "
-                "a code for a missing value? Mark it as not valid, or leave its value empty"
+                f"measurement: reading {row + 1}: {self.channels[channel]}: expected a reflectance "
+                f"factor, got {self.values[row, channel]:g}, which looks like a code for a missing "
+                "value; mark it as not valid, or leave its value empty"
             )
         if self.std is not None and (self.std < 0).any():
             row, channel = np.unravel_index(int(np.argmax(self.std < 0)), self.std.shape)

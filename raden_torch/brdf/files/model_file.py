@@ -77,7 +77,9 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
         model = assemble(about, tensors)
     except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: a raden_torch model with wrong content: {reason}") from None
+        raise InputError(
+            f"{path}: expected the content of a model, got a damaged one: {reason}"
+        ) from None
     for name, value in model.named_parameters():
         if not torch.isfinite(value).all():
             raise InputError(f"{path}: {name}: expected finite values, got some that are not")
@@ -86,7 +88,7 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
 
 def _read_about(path: Path) -> dict[str, Any]:
     """The metadata, read before any tensor is."""
-    ours = f"{path}: not a model of raden_torch; `raden fit` writes one"
+    ours = f"{path}: expected a model of raden_torch, got another file; `raden fit` writes one"
     try:
         check_seekable(path)
         size = path.stat().st_size
@@ -109,7 +111,7 @@ def _read_about(path: Path) -> dict[str, Any]:
         about = json.loads(metadata["about"])
         version = int(about["version"])
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
-        raise InputError(f"{path}: a raden_torch model with damaged metadata") from None
+        raise InputError(f"{path}: expected a model's metadata, got damaged ones") from None
     if version > VERSION:
         raise InputError(
             f"{path}: model format: expected up to {VERSION}, got {version}; update raden_torch"

@@ -45,7 +45,9 @@ class GBuffer:
             )
         view = self.view
         if view is None and (self.position is None or self.camera is None):
-            raise InputError("GBuffer: give view, or position and camera")
+            given = [k for k in ("position", "camera") if getattr(self, k) is not None]
+            got = f"{given[0]} alone" if given else "neither"
+            raise InputError(f"GBuffer: expected view, or position and camera, got {got}")
         if view is not None and getattr(view, "ndim", 1) <= 2:
             object.__setattr__(self, "view", _triple("view", view, self.normal))
         if self.camera is not None:

@@ -175,8 +175,8 @@ def inverse_square(to_light: Tensor) -> Tensor:
 def _needed(position: Tensor | None, light: object) -> Tensor:
     if position is None:
         raise InputError(
-            f"{type(light).__name__}: it needs the G-buffer's position [B, 3, H, W], which is not "
-            "given; a DirectionalLight needs none"
+            f"{type(light).__name__}: expected a G-buffer with position [B, 3, H, W], got none; a "
+            "DirectionalLight needs none"
         )
     return position
 
