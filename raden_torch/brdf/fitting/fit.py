@@ -68,6 +68,14 @@ def fit(
             table too large; an interpolation or assumption that is not known or that the readings
             do not support; validation readings that are too few or outside the box; too few
             readings off the highlight to fit the surface to.
+
+    Examples:
+        >>> import raden_torch as rt
+        >>> result = rt.fit(rt.simulate_specimen("akoya", step_deg=35), diffuse="surface")
+        >>> result.report.measured, result.report.outside, result.report.diffuse_fit
+        (75, 'continued', 'surface')
+        >>> result.report.reading_rms < 1e-6
+        True
     """
     hint = "load_measurement reads one from a file"
     check_type("measurement", measurement, BrdfMeasurement, hint)

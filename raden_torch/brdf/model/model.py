@@ -63,6 +63,17 @@ class RadenBrdf(nn.Module):
     Attributes:
         diffuse_gain, specular_gain: I_d and I_s of eq. (2), finite numbers that may be set.
         provenance: what the model was fitted to.
+
+    Examples:
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> model = rt.fit(rt.simulate_specimen("akoya", step_deg=35)).model
+        >>> up = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
+        >>> f = model(up, up, up)
+        >>> list(f.shape), bool((f > 0).all())
+        ([1, 3, 1, 1], True)
+        >>> model(up, up, -up).flatten().tolist()  # the viewer is below the horizon
+        [0.0, 0.0, 0.0]
     """
 
     diffuse_gain: float | Tensor

@@ -28,6 +28,13 @@ class GBuffer:
         camera: `[3]` or `[B, 3]`, the viewer's position.
         mask: `[B, 1, H, W]`, how much of the pixel is this material: bool; floating, 0…1; or 8-bit
             integers, 0…255, or 0 and 1 where none is above 1. Kept as bool or floating.
+
+    Examples:
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> normal = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand(1, 3, 2, 4)
+        >>> rt.GBuffer(normal, view=(0, 0, 1), mask=torch.ones(1, 1, 2, 4))
+        GBuffer(normal=[1, 3, 2, 4], view=[1, 3, 1, 1], mask=[1, 1, 2, 4], torch.float32, cpu)
     """
 
     normal: Tensor
