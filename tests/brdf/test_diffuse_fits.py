@@ -98,6 +98,16 @@ def test_a_highlight_on_black_has_no_diffuse_part(to: str) -> None:
     )
 
 
+def test_a_black_surface_with_a_bright_rim_does_not_grow_without_bound() -> None:
+    """Readings of 1 at 70° alone: to 90° the formula grows at most by (1 − cos 70°)⁻⁵."""
+    angles = tuple(np.deg2rad(grid_deg()))
+    rim = np.where(angles[0] > 1.2, 1.0, 1e-9)[:, None] * np.ones(3)
+    found = fit_diffuse(angles, rim, "surface")
+    most = (1 - np.cos(np.deg2rad(70))) ** -5 / (np.cos(np.deg2rad(70)) ** 2)
+    assert max(found.exponent) <= 5
+    assert max(found.scale) <= most
+
+
 @pytest.mark.parametrize("to", FITS)
 @pytest.mark.parametrize("outside", ["continued", "diffuse"])
 def test_nodes_are_exact_and_the_fit_ignores_missing_cells(to: str, outside: str) -> None:

@@ -174,7 +174,7 @@ def test_standard_deviations_follow_the_matrix() -> None:
     [
         (
             {"channels": ("600nm", "620nm", "640nm")},
-            "bands that span 380…780 nm, to make a colour, got 600…640 nm",
+            "bands that span 400…700 nm, to make a colour, got 600…640 nm",
         ),
         (
             {"channels": ("400nm", "550nm", "700nm")},
