@@ -39,6 +39,18 @@ def raden_angles(normal: Tensor, light: Tensor, view: Tensor) -> tuple[Tensor, T
 
     Raises:
         InputError: a tensor is not floating point, has no xyz dimension, or does not broadcast.
+
+    Examples:
+        Light from 45° on the left and the viewer at 45° on the right, over a surface that leans by
+        30°:
+
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> normal, light, view = torch.tensor(
+        ...     [[0.0, 1.0, 3**0.5], [-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
+        ... ).view(3, 3, 1, 1)
+        >>> [round(angle.rad2deg().item(), 3) for angle in rt.raden_angles(normal, light, view)]
+        [45.0, 45.0, 30.0]
     """
     n, l, v = unit_vectors(normal=normal, light=light, view=view)  # noqa: E741
     return angles_from_unit_vectors(n, l, v)
@@ -96,6 +108,15 @@ def vectors_from_angles(
     Returns:
         normal, light, view: `[..., 3, H, W]` unit vectors, in the dtype of the angles. The plane of
         L and V holds the x axis and leans by the tilt towards −y.
+
+    Examples:
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> degrees = torch.tensor([30.0, -10.0, 20.0], dtype=torch.float64)
+        >>> angles = degrees.deg2rad().view(3, 1, 1, 1)
+        >>> back = rt.raden_angles(*rt.vectors_from_angles(*angles))
+        >>> [round(angle.rad2deg().item(), 9) for angle in back]
+        [30.0, -10.0, 20.0]
     """
     a, r, t = torch.broadcast_tensors(incidence, receiving, tilt)
     if not a.is_floating_point():

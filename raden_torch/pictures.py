@@ -312,7 +312,8 @@ def _original_lamp(
             except InputError as error:
                 raise InputError(f"{original}: {error}") from None
     raise InputError(
-        f"{original}: {photograph.name} is not one of its photographs; give the lamp as x,y,z"
+        f"{original}: expected one of its photographs, got {photograph.name}; give the lamp as "
+        "x,y,z"
     )
 
 
@@ -320,10 +321,12 @@ def _targets(photos: Sequence[Path], output: Path) -> list[Path]:
     if len(photos) == 1 and not output.is_dir():
         return [output]
     if len({photo.name for photo in photos}) < len(photos):
-        raise InputError("photographs of the same name would overwrite each other; rename them")
+        raise InputError("photographs: expected different names, got one twice; rename them")
     if output.suffix and not output.is_dir():
-        raise InputError(f"{output}: several photographs need a folder; name one without a suffix")
+        raise InputError(
+            f"{output}: expected a folder (no suffix) for several photographs, got a file"
+        )
     output.mkdir(parents=True, exist_ok=True)
     if output.resolve() in {photo.parent.resolve() for photo in photos}:
-        raise InputError(f"{output}: the photographs lie there themselves; name another folder")
+        raise InputError(f"{output}: expected another folder than the photographs' own, got that")
     return [output / photo.name for photo in photos]

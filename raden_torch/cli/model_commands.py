@@ -24,6 +24,13 @@ class Outside(str, Enum):
     diffuse = "diffuse"
 
 
+class Diffuse(str, Enum):
+    """What the diffuse formula follows."""
+
+    floor = "floor"
+    surface = "surface"
+
+
 class Symmetry(str, Enum):
     """What may be assumed of a sample."""
 
@@ -34,6 +41,13 @@ class Symmetry(str, Enum):
 def fit(
     measurement: Annotated[Path, typer.Argument(help="a measurement file; its format is detected")],
     output: Annotated[Path, typer.Option("--output", "-o", help="the model file to write")],
+    diffuse: Annotated[
+        Diffuse,
+        typer.Option(
+            help="what the diffuse formula follows off the highlight: the low values, or the "
+            "surface of all values"
+        ),
+    ] = Diffuse.floor,
     diffuse_scale: Annotated[
         str | None, typer.Option(help="S per channel in 1/sr, set by hand, as 0.1,0.1,0.1")
     ] = None,
@@ -70,6 +84,8 @@ def fit(
     check_output(output, (".safetensors",), inputs=(measurement, validation))
     if (diffuse_scale is None) != (diffuse_exponent is None):
         raise InputError("--diffuse-scale and --diffuse-exponent go together; give both or neither")
+    if diffuse is Diffuse.surface and diffuse_scale is not None:
+        raise InputError("--diffuse surface fits what --diffuse-scale sets by hand; give one")
     with working(f"reading {measurement.name}"):
         loaded = load_measurement(measurement)
         off_grid = None if validation is None else load_measurement(validation)
@@ -86,7 +102,7 @@ def fit(
             )
         result = fit_model(
             loaded,
-            diffuse=by_hand,
+            diffuse=by_hand or diffuse.value,
             interpolation=interpolation,
             validation=off_grid,
             assume=None if assume is None else assume.value,

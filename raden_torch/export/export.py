@@ -57,6 +57,13 @@ def export_onnx(
         InputError: no such profile, output or opset; a model in half precision, not finite or not
             on the CPU; `path` cannot be written; a package is missing; or the pictures differ, in
             which case there is no file.
+
+    Examples:
+        >>> import raden_torch as rt
+        >>> model = rt.fit(rt.simulate_specimen("akoya", step_deg=35)).model
+        >>> report = rt.export_onnx(model, "shell.onnx")
+        >>> report.profile, report.opset, [runtime.name for runtime in report.runtimes]
+        ('gbuffer', 18, ['onnxruntime'])
     """
     check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
     check_profile(profile, output)

@@ -82,9 +82,13 @@ def describe_model(model: RadenBrdf) -> str:
         how = "measured or derived (isotropic)" if about.fit.get("assumption") else "measured"
         lines.append(f"{how}: {box} deg; beyond, {beyond}")
     if model.diffuse is not None:
+        from raden_torch.brdf.fitting.fit_report import FITTED_TO
+
         triple = lambda values: ", ".join(f"{v:.4g}" for v in values.tolist())  # noqa: E731
+        fitted_to = FITTED_TO.get(str(about.fit.get("diffuse_fit")))
         lines.append(
-            f"diffuse: S = {triple(model.diffuse.scale)} 1/sr, n = {triple(model.diffuse.exponent)}"
+            f"diffuse: S = {triple(model.diffuse.scale)} 1/sr, n = "
+            f"{triple(model.diffuse.exponent)}" + (f"; {fitted_to}" if fitted_to else "")
         )
     lines.append(f"gains: I_d = {model.diffuse_gain:g}, I_s = {model.specular_gain:g}")
     lines.append(f"measurement sha256: {about.measurement_sha256 or 'not known'}")

@@ -103,13 +103,13 @@ def why_no_colour(measurement: BrdfMeasurement) -> str | None:
     bands, (low, high) = measurement.wavelengths_nm, _VISIBLE_NM
     if len(bands) < 2 or bands[0] > low + 20 or bands[-1] < high - 20:
         return (
-            f"bands {bands[0]:g}…{bands[-1]:g} nm do not make a colour; "
-            f"they must span {low:g}…{high:g} nm"
+            f"expected bands that span {low:g}…{high:g} nm, to make a colour, got "
+            f"{bands[0]:g}…{bands[-1]:g} nm"
         )
     if np.diff(bands).max() > _MAX_BAND_STEP_NM:
         return (
-            f"bands up to {np.diff(bands).max():g} nm apart do not make a colour; "
-            f"at most {_MAX_BAND_STEP_NM:g} nm"
+            f"expected bands at most {_MAX_BAND_STEP_NM:g} nm apart, to make a colour, got "
+            f"{np.diff(bands).max():g} nm"
         )
     return None
 

@@ -151,8 +151,8 @@ def compare(first: BrdfMeasurement, second: BrdfMeasurement) -> Comparison:
     common = _interpolated(pair) if few else _at_same(pair)
     if not len(common.rows):
         raise InputError(
-            "measurements: they have no geometries in common, and none close enough to "
-            "interpolate; measure some cells of one in the other, too"
+            "measurements: expected geometries in common, or close enough to interpolate, got "
+            "none; measure some cells of one in the other, too"
         )
     return _compared(pair, common)
 

@@ -138,7 +138,10 @@ def _check_pairs(measurements: Sequence[BrdfMeasurement]) -> None:
             by = f"in scale by {c.scale.deviations:.3g} standard deviations"
         else:
             continue
-        raise InputError(f"merge: measurements {i} and {j} differ {by} over all cells; {_ADVICE}")
+        raise InputError(
+            f"merge: expected measurements that agree, got {i} and {j}, which differ {by} over all "
+            f"cells; {_ADVICE}"
+        )
 
 
 @dataclass(frozen=True)
@@ -173,7 +176,8 @@ def _contradiction(stack: Stack, values: Floats, found: _Scatter) -> str:
         read = " and ".join(f"{value:.5g}" for value in values[here, channel])
         named.append(f"({angles} deg) {stack.channels[channel]} = {read}")
     return (
-        f"merge: {int(found.contradicts.sum())} cells contradict beyond their uncertainty; worst: "
+        "merge: expected measurements that agree within their uncertainty, got "
+        f"{int(found.contradicts.sum())} cells that contradict; worst: "
         f"{'; '.join(named)}; {_ADVICE}"
     )
 

@@ -46,7 +46,7 @@ class Metadata:
         white: the illuminant of the XYZ values, by its CIE name ("D65").
         observer: the colour-matching functions of the XYZ values.
         simulated: True where the values were computed, not measured.
-        common: the errors that all readings share; the scale's is not in `std`.
+        systematic: the errors that all readings share; the scale's is not in `std`.
         other: further header entries, kept as they were read.
         notes: free text lines, kept as they were read.
     """
@@ -110,6 +110,15 @@ class BrdfMeasurement:
     Raises:
         InputError: shapes that do not fit, angles out of range or not finite, infinite values, a
             negative standard deviation, or two valid readings of one geometry that disagree.
+
+    Examples:
+        A perfect diffuser, read in 15 geometries:
+
+        >>> import numpy as np
+        >>> import raden_torch as rt
+        >>> incidence, receiving, tilt = np.mgrid[0:71:35, -70:71:35, 0:1].reshape(3, -1)
+        >>> rt.BrdfMeasurement(incidence, receiving, tilt, np.full((15, 3), 100.0))
+        BrdfMeasurement('', 15 readings, 15 valid, channels X, Y, Z)
     """
 
     incidence_deg: Floats
@@ -323,9 +332,9 @@ class BrdfMeasurement:
         if missing.any():
             row, channel = np.unravel_index(int(np.argmax(missing)), self.values.shape)
             raise InputError(
-                f"measurement: {self.channels[channel]} is {self.values[row, channel]:g} in "
-                f"reading {row + 1}: "
-                "a code for a missing value? Mark it as not valid, or leave its value empty"
+                f"measurement: reading {row + 1}: {self.channels[channel]}: expected a reflectance "
+                f"factor, got {self.values[row, channel]:g}, which looks like a code for a missing "
+                "value; mark it as not valid, or leave its value empty"
             )
         if self.std is not None and (self.std < 0).any():
             row, channel = np.unravel_index(int(np.argmax(self.std < 0)), self.std.shape)

@@ -172,11 +172,13 @@ def _undecodable(
     if utf_16:
         before = data[: error.start].decode(utf_16, "replace")
         line = _line_feeds(before).count("\n") + 1
-        return InputError(f"{path}: line {line}: {error.reason} in UTF-16; the file is damaged")
+        return InputError(
+            f"{path}: line {line}: expected UTF-16, got {error.reason}; the file is damaged"
+        )
     line = _line_feeds(data[: error.start].decode("latin-1")).count("\n") + 1
     return InputError(
-        f"{path}: line {line}: byte 0x{data[error.start]:02x} is not UTF-8, and the file is not "
-        "clearly Shift-JIS or Windows-1252; save it as UTF-8"
+        f"{path}: line {line}: expected UTF-8, or what is clearly Shift-JIS or Windows-1252, got "
+        f"byte 0x{data[error.start]:02x}; save it as UTF-8"
     )
 
 

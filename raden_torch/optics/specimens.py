@@ -109,6 +109,11 @@ def simulate_specimen(
 
     Raises:
         InputError: an unknown name, or an argument out of its range.
+
+    Examples:
+        >>> import raden_torch as rt
+        >>> rt.simulate_specimen("yakogai", step_deg=35, noise=0.002)
+        BrdfMeasurement(simulated 'yakogai', 75 readings, 75 valid, channels X, Y, Z)
     """
     if name not in tuple(SPECIMENS):
         raise InputError(f"specimen: expected one of {', '.join(SPECIMENS)}, got {name!r}")

@@ -60,9 +60,9 @@ def derive(
     low, high = reach.half_limits_deg
     if high - low < STEP_DEG:
         raise InputError(
-            "measurement: its half angles, between the normal and the bisector of light and view, "
-            f"span {low:.3g}…{high:.3g} deg; even of an isotropic sample a model needs "
-            f"{STEP_DEG:g} deg of them; measure beside the mirror direction, too"
+            "measurement: expected half angles (between the normal and the bisector of light and "
+            f"view) over at least {STEP_DEG:g} deg, even of an isotropic sample, got "
+            f"{low:.3g}…{high:.3g} deg; measure beside the mirror direction, too"
         )
     in_plane = _in_plane(half, difference)
     kriging = _on_both_sides(with_noise(LogReadings.of(in_plane, xyz, std, count))).kriged()

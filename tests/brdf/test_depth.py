@@ -104,7 +104,10 @@ def test_what_is_wrong_with_a_depth_is_said(tmp_path):
     path = tmp_path / "z.exr"
     r = through(40)
     write_channels(path, {"Z": -plane(r, (0.0, 0.0, 1.0))})
-    with pytest.raises(InputError, match=r"z\.exr: no valid pixel.*`depth=\"negative\"`"):
+    with pytest.raises(
+        InputError,
+        match=r"z\.exr: depth: expected a valid pixel, got none above 0.*`depth=\"negative\"`",
+    ):
         read_gbuffer(path, fov_deg=40)
     assert bool((read_gbuffer(path, fov_deg=40, depth="negative").mask == 1).all())
     with pytest.raises(

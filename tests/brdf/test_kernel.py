@@ -635,5 +635,5 @@ def test_wrong_batches_of_lights_are_one_line(model) -> None:
     with pytest.raises(InputError, match=r"^[^\n]*broadcast[^\n]*$"):
         lit(model, scene(), lights, simd.LEVELS[-1])
     no_position = rt.GBuffer(scene().normal, view=(0.0, 0.0, 1.0))
-    with pytest.raises(InputError, match="needs the G-buffer's position"):
+    with pytest.raises(InputError, match="expected a G-buffer with position"):
         lit(model, no_position, rt.PointLight((0.0, 0.0, 1.0)), simd.LEVELS[-1])

@@ -209,24 +209,24 @@ def test_foreign_and_damaged_files_are_refused(model, tmp_path: Path) -> None:
         struct.pack("<Q", 10**10) + b"{",
     ):
         path.write_bytes(foreign)
-        refused("not a model of raden_torch")
+        refused("expected a model of raden_torch, got another file")
     from safetensors.torch import save_file
 
     save_file({"a": torch.ones(1)}, path)
-    refused("not a model of raden_torch")
+    refused("expected a model of raden_torch, got another file")
     rt.save_model(model, path)
     whole = path.read_bytes()
     path.write_bytes(whole[:-100])
-    refused("wrong content")
+    refused("got a damaged one")
     path.write_bytes(whole)
     rewrite(path, lambda header, about: about.update(version=99))
     refused("model format: expected up to 1, got 99")
     path.write_bytes(whole)
     rewrite(path, lambda header, about: about.pop("step_deg"))
-    refused("wrong content")
+    refused("got a damaged one")
     path.write_bytes(whole)
     rewrite(path, lambda header, about: about.pop("version"))
-    refused("damaged metadata")
+    refused("got damaged ones")
     with torch.no_grad():
         model.diffuse.scale[0] = float("nan")
     rt.save_model(model, path)

@@ -149,7 +149,7 @@ def test_depth_alone_makes_a_gbuffer(lambertian) -> None:
 
 
 BAD_BUFFERS = {
-    "no view": (lambda n: rt.GBuffer(n), "give view, or position and camera"),
+    "no view": (lambda n: rt.GBuffer(n), "expected view, or position and camera, got neither"),
     "position without camera": (lambda n: rt.GBuffer(n, position=n), "position and camera"),
     "unbatched normal": (lambda n: rt.GBuffer(n[0], view=(0, 0, 1)), r"\[B, 3, H, W\]"),
     "no tensor": (lambda n: rt.GBuffer("n", view=(0, 0, 1)), "str"),
@@ -208,7 +208,7 @@ def test_wrong_lights_are_one_line(name: str) -> None:
 
 
 def test_a_point_light_without_positions_says_so(lambertian) -> None:
-    with pytest.raises(InputError, match=r"PointLight: it needs the G-buffer's position"):
+    with pytest.raises(InputError, match=r"PointLight: expected a G-buffer with position"):
         rt.shade(lambertian, flat(), rt.PointLight((0, 0, 1)))
     with pytest.raises(InputError, match=r"expected DirectionalLight .* got dict"):
         rt.shade(lambertian, flat(), [{}])

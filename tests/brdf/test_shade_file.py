@@ -148,7 +148,7 @@ def test_what_cannot_be_shaded_in_bands(tmp_path, model) -> None:
     with pytest.raises(InputError, match="no valid pixel"):
         list(shade_file(model, GBufferFile(path, memory=memory_for(32, 3)), SUN, out))
     write_channels(path, layer("N.", "XYZ", BUMPS))
-    with pytest.raises(InputError, match="needs the G-buffer's position"):
+    with pytest.raises(InputError, match="expected a G-buffer with position"):
         list(shade_file(model, GBufferFile(path, memory=memory_for(32, 3)), POINT, out))
     assert [p.name for p in tmp_path.iterdir()] == ["in.exr"]
 

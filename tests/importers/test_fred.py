@@ -137,7 +137,7 @@ def test_bad_input_is_one_line(tmp_path: Path, text: str, message: str) -> None:
 def test_bytes_that_are_not_utf8_are_named(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_bytes(HEAD.encode() + b"30 0\r\n30 0 \xff\r\n")
-    with pytest.raises(InputError, match=r"line 4: byte 0xff is not UTF-8"):
+    with pytest.raises(InputError, match=r"line 4: expected UTF-8, .*, got byte 0xff"):
         load_measurement(path)
 
 

@@ -287,23 +287,23 @@ AMBIGUOUS = {
     ),
     "Shift-JIS or Windows-1252": (
         "# 夜\n".encode("cp932") + (HEADER + "0,0,0,1,2,3\n").encode(),
-        "line 1: byte 0x96 is not UTF-8, and the file is not clearly Shift-JIS or Windows-1252",
+        "line 1: expected UTF-8, or what is clearly Shift-JIS or Windows-1252, got byte 0x96; save",
     ),
     **{
         encoding: (
             f"# {words}\n".encode(encoding) + (HEADER + "0,0,0,1,2,3\n").encode(),
-            "is not UTF-8, and the file is not clearly Shift-JIS or Windows-1252",
+            "expected UTF-8, or what is clearly Shift-JIS or Windows-1252, got byte 0x",
         )
         for encoding, words in SHELL.items()
     },
     "damaged UTF-8": (
         "# 夜光貝の測定\n".encode().replace(b"\x85", b"\x20", 1)
         + (HEADER + "0,0,0,1,2,3\n").encode(),
-        "line 1: byte 0xe5 is not UTF-8",
+        "line 1: expected UTF-8, or what is clearly Shift-JIS or Windows-1252, got byte 0xe5",
     ),
     "half a UTF-16 character": (
         (HEADER + "0,0,0,1,2,3\n").encode("utf-16")[:-1],
-        "line 2: truncated data in UTF-16",
+        "line 2: expected UTF-16, got truncated data",
     ),
     "a NUL character": (HEADER + "0,0,0,1,2,3\n" * 20_000 + "\0", "line 20002: expected text"),
     "a truncated gzip file": (gzip.compress((HEADER + "0,0,0,1,2,3\n").encode())[:-9], "truncated"),

@@ -153,7 +153,9 @@ def test_contradictions_are_refused_by_name_or_enlarged() -> None:
 
 
 def test_a_scatter_over_all_cells_is_refused_too() -> None:
-    with pytest.raises(InputError, match=r"measurements 1 and 2 differ"):
+    with pytest.raises(
+        InputError, match=r"expected measurements that agree, got 1 and 2, which differ"
+    ):
         merge([readings(1), scaled(readings(2), 1.06)])
 
 

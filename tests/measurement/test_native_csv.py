@@ -128,7 +128,10 @@ BAD = {
         HEADER + ROWS + "99,9,9,1,1,1\n",
         "reading 4: incidence_deg: expected 0…90 degrees, got 99",
     ),
-    "not UTF-8": ((HEADER + ROWS).encode() + b"9,9,9,\xff,1,1\n", "line 5: byte 0xff"),
+    "not UTF-8": (
+        (HEADER + ROWS).encode() + b"9,9,9,\xff,1,1\n",
+        "line 5: expected UTF-8, or what is clearly Shift-JIS or Windows-1252, got byte 0xff",
+    ),
     "binary": (b"\x00\x01\x02" * 100, "got an unknown format"),
     "other scale": (
         "# quantity: reflectance, diffuser = 1\n" + HEADER + ROWS,

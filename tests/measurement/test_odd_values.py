@@ -28,8 +28,8 @@ def changed(value: float, *, valid: bool = True) -> rt.BrdfMeasurement:
     [
         (9.9e37, "reading 3: Y: expected a finite reflectance factor, got 9.9e\\+37; mark"),
         (math.inf, "reading 3: Y: expected a finite reflectance factor, got inf; mark"),
-        (-999.0, "Y is -999 in reading 3: a code for a missing value\\?"),
-        (-9999.0, "Y is -9999 in reading 3"),
+        (-999.0, "reading 3: Y: expected a reflectance factor, got -999, which looks like a code"),
+        (-9999.0, "reading 3: Y: expected a reflectance factor, got -9999"),
     ],
 )
 def test_codes_are_no_values(value: float, message: str) -> None:

@@ -172,8 +172,14 @@ def test_standard_deviations_follow_the_matrix() -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"channels": ("600nm", "620nm", "640nm")}, "do not make a colour"),
-        ({"channels": ("400nm", "550nm", "700nm")}, "150 nm apart"),
+        (
+            {"channels": ("600nm", "620nm", "640nm")},
+            "bands that span 400…700 nm, to make a colour, got 600…640 nm",
+        ),
+        (
+            {"channels": ("400nm", "550nm", "700nm")},
+            "expected bands at most .* nm apart, .* got 150 nm",
+        ),
         ({"metadata": Metadata(white="D99")}, "white: .*got 'D99'"),
         ({"metadata": Metadata(observer="mine")}, "observer: .*got 'mine'"),
     ],

@@ -120,8 +120,8 @@ def test_the_report_tells_what_was_measured_and_what_follows() -> None:
 @pytest.mark.parametrize(
     ("angles", "wanted"),
     [
-        (PLANE[PLANE[:, 0] == PLANE[:, 1]], "half angles.*span 0…0 deg"),
-        (np.array([[20.0, 10.0, 0.0]]), "half angles.*span 5…5 deg"),
+        (PLANE[PLANE[:, 0] == PLANE[:, 1]], "half angles.*got 0…0 deg"),
+        (np.array([[20.0, 10.0, 0.0]]), "half angles.*got 5…5 deg"),
     ],
 )
 def test_what_stays_undetermined_is_refused(angles: np.ndarray, wanted: str) -> None:

@@ -65,9 +65,9 @@ class Layers:
         more = f" and {len(shown) - 40} more" if len(shown) > 40 else ""
         return ", ".join(shown[:40]) + more
 
-    def missing(self, what: str) -> InputError:
+    def missing(self, wanted: str) -> InputError:
         return InputError(
-            f"{self.file.path}: {what}; it has the channels {self.listing}: name a layer of them, "
+            f"{self.file.path}: {wanted}, got the channels {self.listing}; name a layer of them, "
             "as in normal=LAYER"
         )
 
@@ -77,7 +77,7 @@ class Layers:
             text = self.chosen[what]
             names = self._listed(what, text) if "," in text else self._vector_in(text.lower())
             if names is None:
-                raise self.missing(f"no layer {text!r} with X, Y, Z or R, G, B for the {what}")
+                raise self.missing(f"{what}: expected a layer {text!r} with X, Y, Z or R, G, B")
         else:
             names = self._named(what, self._vectors())
         return self._keys(names)
@@ -92,7 +92,7 @@ class Layers:
             text = self.chosen[what]
             names = self._scalars().get(text.lower())
             if names is None:
-                raise self.missing(f"no channel {text!r} for the {what}")
+                raise self.missing(f"{what}: expected a channel {text!r}")
         else:
             names = self._named(what, self._scalars())
         return self._keys(names)
@@ -112,7 +112,7 @@ class Layers:
             }
             if len(found) > 1 and what in ("normal", "depth"):
                 several = ", ".join(found.values())
-                raise self.missing(f"several layers may be the {what} ({several})")
+                raise self.missing(f"{what}: expected one layer that may be it, not {several}")
             if len(found) == 1:
                 return candidates[next(iter(found.values()))]
         return None
@@ -146,7 +146,7 @@ class Layers:
         names = tuple(name.strip() for name in text.split(","))
         absent = [name for name in names if name not in self.channels]
         if absent or len(names) != 3:
-            raise self.missing(f"{text!r} for the {what} is not three of its channels")
+            raise self.missing(f"{what}: expected three channels of the file in {text!r}")
         return names
 
     def _keys(self, names: tuple[str, ...] | None) -> tuple[Key, ...] | None:

@@ -196,20 +196,21 @@ class GBufferFile:
     def _check(self, layers: Layers) -> None:
         pinhole = self._matrix is not None
         at_origin = InputError(
-            f"{self.path}: camera is given, but positions from depth have it at 0, 0, 0"
+            f"{self.path}: camera: expected none with positions from depth, which have it at "
+            "0, 0, 0, got one"
         )
         if self._normal is not None:
             if self._camera is not None and self._position is None:
                 if self._depth is not None and pinhole:
                     raise at_origin
-                raise layers.missing("camera is given, but there are no positions (position=LAYER)")
+                raise layers.missing("camera: expected positions with it (position=LAYER)")
             return
         if self._depth is None:
-            raise layers.missing("no normals and no depth")
+            raise layers.missing("expected normals or a depth")
         if not pinhole:
             raise InputError(
-                f"{self.path}: depth without normals; give intrinsics or fov_deg, or name the "
-                f"normals' layer among its channels {layers.listing}"
+                f"{self.path}: expected normals, or a depth and its camera, got the channels "
+                f"{layers.listing}; give intrinsics or fov_deg, or name the normals' layer"
             )
         if self._camera is not None:
             raise at_origin
@@ -264,8 +265,8 @@ class GBufferFile:
     def _warn_of_depth(self, depth: Tensor, there: Tensor, through: Tensor) -> None:
         if not bool(there.any()) and bool((depth < 0).any()):
             raise InputError(
-                f"{self.path}: no valid pixel, the depth is below 0; if it is the z of a camera "
-                'that looks along −z, give `depth="negative"`'
+                f"{self.path}: depth: expected a valid pixel, got none above 0; if it is the z of "
+                'a camera that looks along −z, give `depth="negative"`'
             )
         if self._smooth_px <= 0:
             warn_of_steps(self.path, depth[there], cast(Tensor, self._matrix))
@@ -344,8 +345,8 @@ def _bands(file: ExrRows, memory: int | None) -> list[tuple[int, int]]:
     if memory is None:
         if not file.may_be_whole:
             raise InputError(
-                f"{file.path}: {width} x {height} pixels are too many to be read at once; "
-                "`raden render` shades them in bands if it writes an .exr"
+                f"{file.path}: expected a frame that can be read at once, got {width} x {height} "
+                "pixels; `raden render` shades it in bands if it writes an .exr"
             )
         return [(0, height)]
     rows = min(memory // a_row, file.most_rows)

@@ -41,6 +41,11 @@ def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
 
     Raises:
         InputError: a suffix other than .safetensors, or a place that cannot be written.
+
+    Examples:
+        >>> import raden_torch as rt
+        >>> model = rt.fit(rt.simulate_specimen("akoya", step_deg=35)).model
+        >>> rt.save_model(model, "shell.safetensors")
     """
     from safetensors.torch import save
 
@@ -78,6 +83,15 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
     Raises:
         InputError: not a file of ours, of a newer format, truncated, or holding values that are
             not finite.
+
+    Examples:
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> model = rt.fit(rt.simulate_specimen("akoya", step_deg=35)).model
+        >>> rt.save_model(model, "shell.safetensors")
+        >>> loaded = rt.load_model("shell.safetensors")
+        >>> torch.equal(loaded.table.values, model.table.values), loaded.provenance.sample
+        (True, 'akoya')
     """
     from safetensors import SafetensorError
     from safetensors.torch import load
@@ -89,7 +103,9 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
         model = assemble(about, tensors)
     except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError(f"{path}: a raden_torch model with wrong content: {reason}") from None
+        raise InputError(
+            f"{path}: expected the content of a model, got a damaged one: {reason}"
+        ) from None
     for name, value in model.named_parameters():
         if not torch.isfinite(value).all():
             raise InputError(f"{path}: {name}: expected finite values, got some that are not")
@@ -98,7 +114,7 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
 
 def _read_about(path: Path) -> dict[str, Any]:
     """The metadata, read before any tensor is."""
-    ours = f"{path}: not a model of raden_torch; `raden fit` writes one"
+    ours = f"{path}: expected a model of raden_torch, got another file; `raden fit` writes one"
     try:
         check_seekable(path)
         size = path.stat().st_size
@@ -121,7 +137,7 @@ def _read_about(path: Path) -> dict[str, Any]:
         about = json.loads(metadata["about"])
         version = int(about["version"])
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
-        raise InputError(f"{path}: a raden_torch model with damaged metadata") from None
+        raise InputError(f"{path}: expected a model's metadata, got damaged ones") from None
     if version > VERSION:
         raise InputError(
             f"{path}: model format: expected up to {VERSION}, got {version}; update raden_torch"

@@ -1,11 +1,15 @@
-"""Fit S and n of the diffuse formula to the low envelope of a measurement.
+"""Fit S and n of the diffuse formula to the floor or to the surface of a measurement.
 
-The loss is the pinball loss at a low quantile (Koenker and Bassett 1978, regression quantiles): a
-reading far above the curve pulls no harder than one just above it, so that the mirror ridge cannot
-lift the fit, and the curve settles where `ENVELOPE` of the readings lie below it. For a given n the
-best S is a weighted quantile of the ratios reading / basis: exact, without iteration. What remains
-is a search over n alone. Readings within `RIDGE_DEG` of the mirror direction are left out all the
-same, since the paper fits the diffuse part without them.
+The paper fits by hand. Over the tilt the curve follows the low values, below the mirror ridge
+(fig. 6); over receiving angle and incidence, at a tilt of 55°, where no ridge is, it follows the
+measured surface (figs 7 and 8). Here both have one loss, the pinball loss at a quantile (Koenker
+and Bassett 1978, regression quantiles): the curve settles where that share of the readings lies
+below it, and a reading far above it pulls no harder than one just above it. The surface is the
+median: least absolute deviations. For a given n the best S is a weighted quantile of the ratios
+reading / basis: exact, without iteration. What remains is a search over n alone.
+
+Left out of both are the readings within `RIDGE_DEG` of the mirror direction, which are the
+highlight, and those at incidence 0, where the formula is 0 whatever its parameters.
 """
 
 from __future__ import annotations
@@ -18,11 +22,26 @@ from scipy.optimize import minimize_scalar
 from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 
-ENVELOPE = 0.05
 RIDGE_DEG = 20.0
-EXPONENT_BOUNDS = (0.5, 50.0)
-"""Below 0.5 the formula jumps at a = 0 and ruins the interpolation of the residual beside it."""
+_LEAST_READINGS = 10
 _NEGLIGIBLE = 1e-12
+
+
+@dataclass(frozen=True)
+class DiffuseFit:
+    """What a fit follows: the quantile of the readings, and the bounds of n.
+
+    Near incidence 0 the formula rises steeply where n < 0.5. With both gains at 1 that changes
+    nothing in the measured box; with others it draws a dark line there. From 70 degrees to 90 it
+    grows eightfold with n = 5; where half of the readings are black, the median alone would allow
+    any growth.
+    """
+
+    quantile: float
+    exponent_bounds: tuple[float, float]
+
+
+FITS = {"floor": DiffuseFit(0.05, (0.5, 50.0)), "surface": DiffuseFit(0.5, (0.1, 5.0))}
 
 
 @dataclass(frozen=True)
@@ -46,25 +65,44 @@ class DiffuseParameters:
             raise InputError(f"diffuse exponent: expected above 0, got {self.exponent}")
 
 
-def fit_diffuse(angles: tuple[Floats, Floats, Floats], f_r: Floats) -> DiffuseParameters:
-    """The low envelope of readings.
+def fit_diffuse(
+    angles: tuple[Floats, Floats, Floats], f_r: Floats, to: str = "floor"
+) -> DiffuseParameters:
+    """S and n of readings.
 
     Args:
         angles: incidence, receiving, tilt, `[M]` each, in radians.
         f_r: `[M, 3]` in 1/sr.
+        to: a key of `FITS`.
 
     Returns:
-        S ≥ 0 and n within `EXPONENT_BOUNDS`; S = 0 where nothing but the ridge was measured, or
-        where the envelope is not positive.
+        S ≥ 0 and n within its bounds; S = 0 where the quantile is not positive. "floor": S = 0
+        also where nothing but the ridge was measured.
+
+    Raises:
+        InputError: "surface" of fewer than ten readings off the highlight, or of one incidence.
     """
     a, r, t = angles
     use = (a > 0) & (angle_from_mirror(a, r, t) > np.deg2rad(RIDGE_DEG))
-    if not use.any():
+    if to == "surface":
+        _check_surface(a[use])
+    elif not use.any():
         return DiffuseParameters((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
     angular, x = np.cos(t[use]) * np.cos(r[use]), 2 * np.sin(a[use] / 2) ** 2
-    fitted = [_fit_channel(angular, x, f_r[use, c]) for c in range(3)]
+    fitted = [_fit_channel(angular, x, f_r[use, c], FITS[to]) for c in range(3)]
     s, n = zip(*fitted, strict=True)
     return DiffuseParameters(s, n)
+
+
+def _check_surface(incidence: Floats) -> None:
+    """Raise InputError unless readings at these incidences determine S and n."""
+    incidences = len(np.unique(np.round(incidence, 6)))
+    if len(incidence) < _LEAST_READINGS or incidences < 2:
+        raise InputError(
+            f"diffuse: expected at least {_LEAST_READINGS} readings over {RIDGE_DEG:g} deg off the "
+            "mirror direction, at two incidences above 0, to fit the surface to, got "
+            f'{len(incidence)} at {incidences}; measure more, or use `diffuse="floor"`'
+        )
 
 
 def angle_from_mirror(a: Floats, r: Floats, t: Floats) -> Floats:
@@ -74,16 +112,18 @@ def angle_from_mirror(a: Floats, r: Floats, t: Floats) -> Floats:
     return np.asarray(2 * np.arctan2(np.sqrt(1 - cosine), np.sqrt(1 + cosine)))
 
 
-def _fit_channel(angular: Floats, x: Floats, y: Floats) -> tuple[float, float]:
+def _fit_channel(angular: Floats, x: Floats, y: Floats, to: DiffuseFit) -> tuple[float, float]:
+    q = to.quantile
+
     def best_scale(log_n: float) -> tuple[float, float]:
         basis = angular * x ** np.exp(log_n)
         counts = basis > _NEGLIGIBLE * basis.max()  # the rest weighs nothing, and would overflow
         ratio = y[counts] / basis[counts]
-        scale = max(_weighted_quantile(ratio, basis[counts], ENVELOPE), 0.0)
+        scale = max(_weighted_quantile(ratio, basis[counts], q), 0.0)
         above = y - scale * basis
-        return scale, float(np.mean(np.maximum(ENVELOPE * above, (ENVELOPE - 1) * above)))
+        return scale, float(np.mean(np.maximum(q * above, (q - 1) * above)))
 
-    low, high = np.log(EXPONENT_BOUNDS)
+    low, high = np.log(to.exponent_bounds)
     coarse = np.linspace(low, high, 24)
     i = int(np.argmin([best_scale(log_n)[1] for log_n in coarse]))
     bracket = (coarse[max(i - 1, 0)], coarse[min(i + 1, len(coarse) - 1)])

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters, fit_diffuse
-from raden_torch.brdf.fitting.fit_report import FitReport, make_report
+from raden_torch.brdf.fitting.diffuse_fit import FITS, DiffuseParameters, fit_diffuse
+from raden_torch.brdf.fitting.fit_report import BY_HAND, FitReport, make_report
 from raden_torch.brdf.fitting.interpolated_table import choose_interpolation, make_table
 from raden_torch.brdf.fitting.tabulate import MAX_CELLS, Tabulated, tabulate
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
@@ -32,7 +32,7 @@ class FitResult:
 def fit(
     measurement: BrdfMeasurement,
     *,
-    diffuse: DiffuseParameters | None = None,
+    diffuse: DiffuseParameters | str | None = None,
     interpolation: str = "auto",
     validation: BrdfMeasurement | None = None,
     assume: str | None = None,
@@ -44,7 +44,11 @@ def fit(
         measurement: readings on a grid of incidence × receiving × tilt, whose gaps are filled; or
             scattered readings, which are kriged onto a 5 degree table. Bands that make no colour
             give a grey model.
-        diffuse: the diffuse parameters, set by hand as in the paper; fitted where None.
+        diffuse: what the diffuse formula follows more than 20 degrees off the mirror direction:
+            "floor" (or None), the low values, as in the paper's fig. 6; "surface", the median, as
+            in figs 7 and 8; or its parameters, set by hand. It decides what stands outside the box
+            with `outside="diffuse"`, and how the gains I_d and I_s share the table out; in the box,
+            with both at 1, the model is the same.
         interpolation: what lies between the nodes: "trilinear" (the paper), "cubic", "lobes" (see
             `reflectance.interpolation`), "kriging" (of scattered readings), or "auto": kriging
             where they are scattered, else the one that a hold-out, or `validation`, prefers.
@@ -62,23 +66,39 @@ def fit(
     Raises:
         InputError: fewer than two values on an axis, unless assumed isotropic; no valid reading, a
             table too large; an interpolation or assumption that is not known or that the readings
-            do not support; validation readings that are too few or outside the box.
+            do not support; validation readings that are too few or outside the box; too few
+            readings off the highlight to fit the surface to.
+
+    Examples:
+        >>> import raden_torch as rt
+        >>> result = rt.fit(rt.simulate_specimen("akoya", step_deg=35), diffuse="surface")
+        >>> result.report.measured, result.report.outside, result.report.diffuse_fit
+        (75, 'continued', 'surface')
+        >>> result.report.reading_rms < 1e-6
+        True
     """
     hint = "load_measurement reads one from a file"
     check_type("measurement", measurement, BrdfMeasurement, hint)
     if outside not in OUTSIDE:
         raise InputError(f"outside: expected {' or '.join(OUTSIDE)}, got {outside!r}")
+    diffuse = "floor" if diffuse is None else diffuse
+    check_type("diffuse", diffuse, (str, DiffuseParameters))
+    if isinstance(diffuse, str) and diffuse not in FITS:
+        raise InputError(f"diffuse: expected {' or '.join(FITS)}, got {diffuse!r}")
     table = tabulate(measurement, assume)
     if outside == "continued" and (size := _too_large(table)):
         outside = "diffuse"
         table = replace(table, warnings=(*table.warnings, size))
-    parameters = diffuse or fit_diffuse(*_for_diffuse(table))
+    parameters = (
+        fit_diffuse(*_for_diffuse(table), to=diffuse) if isinstance(diffuse, str) else diffuse
+    )
     part = _diffuse_part(parameters)
     total = _without_gaps(table, part)
     chosen = choose_interpolation(table, total, interpolation, validation)
     model = RadenBrdf(part, make_table(table, total, chosen.scheme, outside))
+    fitted_to = diffuse if isinstance(diffuse, str) else BY_HAND
     report = make_report(
-        measurement, table, model, parameters, chosen, fitted=diffuse is None, outside=outside
+        measurement, table, model, parameters, chosen, diffuse_fit=fitted_to, outside=outside
     )
     meta = measurement.metadata
     model.provenance = Provenance(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from raden_torch.brdf.fitting.diffuse_fit import EXPONENT_BOUNDS, DiffuseParameters
+from raden_torch.brdf.fitting.diffuse_fit import FITS, RIDGE_DEG, DiffuseParameters
 from raden_torch.brdf.fitting.hemisphere import Shares, directional_albedo, shares
 from raden_torch.brdf.fitting.interpolated_table import Choice
 from raden_torch.brdf.fitting.tabulate import Tabulated
@@ -21,6 +21,12 @@ _UNKNOWN = Shares(float("nan"), float("nan"), float("nan"))
 _OUTSIDE = {
     "continued": "there what was measured continues",
     "diffuse": "there the diffuse part stands alone",
+}
+BY_HAND = "by hand"
+FITTED_TO = {
+    "floor": f"the floor of the readings over {RIDGE_DEG:g} deg off the mirror direction",
+    "surface": f"the surface of the readings over {RIDGE_DEG:g} deg off the mirror direction",
+    BY_HAND: "set by hand",
 }
 _DARK = 1.5
 """A measurement with no reading above this may be in another unit."""
@@ -43,6 +49,7 @@ class FitReport:
         reading_rms: RMS of model − reading over all valid readings, over the 99.9 % quantile of
             the readings, all in the channel mean; on a grid it is 0 but where `fit` averaged.
         diffuse_scale, diffuse_exponent: S (1/sr) and n per channel.
+        diffuse_fit: what they were fitted to, a key of `diffuse_fit.FITS`; or "by hand".
         diffuse_share: the diffuse part's share of the sum of all readings.
         interpolation, interpolation_why, interpolation_losses: see `interpolated_table.Choice`.
         assumption: what was assumed of the sample, and how far readings bear it out; may be empty.
@@ -76,6 +83,7 @@ class FitReport:
     hemisphere: Shares = _UNKNOWN
     box_deg: tuple[tuple[float, float], ...] = ()
     outside: str = "diffuse"
+    diffuse_fit: str = "floor"
     albedo: dict[float, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -97,7 +105,8 @@ class FitReport:
             f"reciprocity: broken by {_percent(self.reciprocity_mean)} on average, "
             f"{_percent(self.reciprocity_worst)} at worst",
             f"diffuse: S = {triple(self.diffuse_scale)} 1/sr, n = {triple(self.diffuse_exponent)} "
-            f"(R, G, B); {_percent(self.diffuse_share)} of all that was measured",
+            f"(R, G, B); {FITTED_TO[self.diffuse_fit]}; {_percent(self.diffuse_share)} of all that "
+            "was measured",
             f"residual at the readings: {self.reading_rms:.2e} of the 99.9 % quantile (RMS)",
         ]
         lines += [
@@ -125,7 +134,7 @@ def make_report(
     parameters: DiffuseParameters,
     chosen: Choice,
     *,
-    fitted: bool,
+    diffuse_fit: str,
     outside: str,
 ) -> FitReport:
     """Compare the model with the readings and say where its table comes from."""
@@ -162,29 +171,36 @@ def make_report(
         hemisphere=shares(table),
         box_deg=tuple((float(axis[0]), float(axis[-1])) for axis in table.grid),
         outside=outside,
+        diffuse_fit=diffuse_fit,
         albedo=albedo,
         warnings=(
             *table.warnings,
-            *_warnings(measurement, table, parameters, fitted),
+            *_exponent_warning(parameters, diffuse_fit),
+            *_warnings(measurement, table),
             *_albedo_warning(albedo),
         ),
     )
 
 
-def _warnings(
-    measurement: BrdfMeasurement, table: Tabulated, parameters: DiffuseParameters, fitted: bool
-) -> tuple[str, ...]:
-    found = []
+def _exponent_warning(parameters: DiffuseParameters, diffuse_fit: str) -> tuple[str, ...]:
+    if diffuse_fit == BY_HAND:
+        return ()
+    low, high = FITS[diffuse_fit].exponent_bounds
     at_bound = [
         f"{channel}: n = {n:g}"
         for channel, n in zip("RGB", parameters.exponent, strict=True)
-        if n <= EXPONENT_BOUNDS[0] * 1.001 or n >= EXPONENT_BOUNDS[1] * 0.999
+        if n <= low * 1.001 or n >= high * 0.999
     ]
-    if fitted and at_bound:
-        found.append(
-            f"the diffuse exponent stopped at a bound of {list(EXPONENT_BOUNDS)} "
-            f"({', '.join(at_bound)}): the formula does not describe this sample's diffuse part"
-        )
+    if not at_bound:
+        return ()
+    return (
+        f"the diffuse exponent stopped at a bound of {[low, high]} "
+        f"({', '.join(at_bound)}): the formula does not describe this sample's diffuse part",
+    )
+
+
+def _warnings(measurement: BrdfMeasurement, table: Tabulated) -> tuple[str, ...]:
+    found = []
     invalid = int((~measurement.valid).sum())
     if invalid:
         found.append(f"{invalid} of {len(measurement)} readings are not valid and were left out")

@@ -108,8 +108,8 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
     flat = _single_valued(measurement)
     if flat:
         raise InputError(
-            f"measurement: {flat}; a model needs at least two on each of incidence, receiving and "
-            'tilt; if the sample is isotropic, `assume="isotropic"` derives the rest'
+            "measurement: expected at least two values on each of incidence, receiving and tilt, "
+            f'got {flat}; if the sample is isotropic, `assume="isotropic"` derives the rest'
         )
     every, warnings = _as_rgb(measurement)
     rgb, angles = _readings(measurement)
@@ -229,7 +229,7 @@ def _single_valued(measurement: BrdfMeasurement) -> str:
     for name in ("incidence", "receiving", "tilt"):
         angle = getattr(known, f"{name}_deg")
         if np.ptp(angle) < 1e-6:
-            return f"{name} has one value only ({angle[0]:g} deg)"
+            return f"one {name} only ({angle[0]:g} deg)"
     return ""
 
 

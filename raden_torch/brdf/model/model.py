@@ -52,9 +52,10 @@ class RadenBrdf(nn.Module):
     """A reflection model: a diffuse formula and a table of what was measured.
 
     The specular part is what the table holds beyond the diffuse part, spec = w (table − diffuse),
-    with the table's weight w: 1 in the table, fading to 0 beyond. So with both gains at 1 the
-    model is the table itself where that reaches (to the horizon, unless `fit` was asked for the
-    paper's rule), and the diffuse part beyond.
+    with the table's weight w: 1 in the table, fading to 0 beyond. It is negative where the formula
+    lies above the table. So with both gains at 1 the model is the table itself where that reaches
+    (to the horizon, unless `fit` was asked for the paper's rule), and the diffuse part beyond;
+    other gains may make it negative.
 
     Differentiable in the vectors, the table (`table.values`) and the diffuse parameters
     (`diffuse.scale`, `diffuse.exponent`). Either part may be None: it then costs nothing.
@@ -62,6 +63,17 @@ class RadenBrdf(nn.Module):
     Attributes:
         diffuse_gain, specular_gain: I_d and I_s of eq. (2), finite numbers that may be set.
         provenance: what the model was fitted to.
+
+    Examples:
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> model = rt.fit(rt.simulate_specimen("akoya", step_deg=35)).model
+        >>> up = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
+        >>> f = model(up, up, up)
+        >>> list(f.shape), bool((f > 0).all())
+        ([1, 3, 1, 1], True)
+        >>> model(up, up, -up).flatten().tolist()  # the viewer is below the horizon
+        [0.0, 0.0, 0.0]
     """
 
     diffuse_gain: float | Tensor

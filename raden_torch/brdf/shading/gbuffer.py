@@ -28,6 +28,13 @@ class GBuffer:
         camera: `[3]` or `[B, 3]`, the viewer's position.
         mask: `[B, 1, H, W]`, how much of the pixel is this material: bool; floating, 0…1; or 8-bit
             integers, 0…255, or 0 and 1 where none is above 1. Kept as bool or floating.
+
+    Examples:
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> normal = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand(1, 3, 2, 4)
+        >>> rt.GBuffer(normal, view=(0, 0, 1), mask=torch.ones(1, 1, 2, 4))
+        GBuffer(normal=[1, 3, 2, 4], view=[1, 3, 1, 1], mask=[1, 1, 2, 4], torch.float32, cpu)
     """
 
     normal: Tensor
@@ -45,7 +52,9 @@ class GBuffer:
             )
         view = self.view
         if view is None and (self.position is None or self.camera is None):
-            raise InputError("GBuffer: give view, or position and camera")
+            given = [k for k in ("position", "camera") if getattr(self, k) is not None]
+            got = f"{given[0]} alone" if given else "neither"
+            raise InputError(f"GBuffer: expected view, or position and camera, got {got}")
         if view is not None and getattr(view, "ndim", 1) <= 2:
             object.__setattr__(self, "view", _triple("view", view, self.normal))
         if self.camera is not None:

@@ -27,6 +27,14 @@ class DirectionalLight:
         direction: towards the light, of any length.
         irradiance: linear RGB, on a plane that faces the light; π lights a perfect white diffuser
             to radiance 1.
+
+    Examples:
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> sun = rt.DirectionalLight(direction=(0, 3, 4), irradiance=(2.0, 2.0, 1.0))
+        >>> direction, irradiance = sun.at(None, torch.zeros(1, 3, 1, 1))
+        >>> direction.flatten().tolist(), irradiance.flatten().tolist()
+        ([0.0, 3.0, 4.0], [2.0, 2.0, 1.0])
     """
 
     direction: Triple
@@ -47,6 +55,18 @@ class PointLight:
     Attributes:
         position: in the G-buffer's frame and unit of length.
         intensity: linear RGB; the irradiance facing it at distance d is intensity / d².
+
+    Examples:
+        At twice the distance a lamp gives a quarter:
+
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> surface = torch.zeros(1, 3, 1, 1)
+        >>> for height in (1, 2):
+        ...     lamp = rt.PointLight(position=(0, 0, height), intensity=(1.0, 1.0, 0.5))
+        ...     print(lamp.at(surface, surface)[1].flatten().tolist())
+        [1.0, 1.0, 0.5]
+        [0.25, 0.25, 0.125]
     """
 
     position: Triple
@@ -70,6 +90,18 @@ class SpotLight:
         intensity: linear RGB on the axis.
         inner_deg, outer_deg: half angles of the cone; full intensity within the inner one, none
             outside the outer one, a smooth step of the angle's cosine between.
+
+    Examples:
+        On its axis, and outside its cone:
+
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> surface = torch.zeros(1, 3, 1, 1)
+        >>> for target in ((0, 0, 0), (2, 0, 0)):
+        ...     lamp = rt.SpotLight(position=(0, 0, 2), target=target, intensity=(1.0, 1.0, 0.5))
+        ...     print(lamp.at(surface, surface)[1].flatten().tolist())
+        [0.25, 0.25, 0.125]
+        [0.0, 0.0, 0.0]
     """
 
     position: Triple
@@ -175,8 +207,8 @@ def inverse_square(to_light: Tensor) -> Tensor:
 def _needed(position: Tensor | None, light: object) -> Tensor:
     if position is None:
         raise InputError(
-            f"{type(light).__name__}: it needs the G-buffer's position [B, 3, H, W], which is not "
-            "given; a DirectionalLight needs none"
+            f"{type(light).__name__}: expected a G-buffer with position [B, 3, H, W], got none; a "
+            "DirectionalLight needs none"
         )
     return position
 

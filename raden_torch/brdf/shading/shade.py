@@ -63,6 +63,23 @@ def shade(
 
     Raises:
         InputError: a light needs positions that the G-buffer lacks; shapes or devices do not fit.
+
+    Examples:
+        A perfect diffuser under a lamp overhead, and under one at 60° to its normal:
+
+        >>> import numpy as np
+        >>> import torch
+        >>> import raden_torch as rt
+        >>> deg = np.mgrid[0:71:35, -70:71:35, -70:71:35].reshape(3, -1)
+        >>> white = rt.BrdfMeasurement(*deg, np.full((75, 3), 100.0), channels=("R", "G", "B"))
+        >>> model = rt.fit(white).model
+        >>> up = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
+        >>> gbuffer = rt.GBuffer(up, view=(0, 0, 1))
+        >>> for direction in ((0, 0, 1), (3**0.5, 0, 1)):
+        ...     image = rt.shade(model, gbuffer, rt.DirectionalLight(direction))
+        ...     print([round(value, 4) for value in image.flatten().tolist()])
+        [1.0, 1.0, 1.0]
+        [0.5, 0.5, 0.5]
     """
     check_type("lights", lights, (Sequence, *_LIGHTS), "give a list of lights")
     lights = [lights] if isinstance(lights, Light) else list(lights)

@@ -42,6 +42,12 @@ def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
     Raises:
         InputError: the file is missing, empty, of no known format, or wrong in itself; the message
             names the file, the line and column, and what would be right.
+
+    Examples:
+        >>> import raden_torch as rt
+        >>> rt.simulate_specimen("akoya", step_deg=35).save("shell.csv")
+        >>> rt.load_measurement("shell.csv")
+        BrdfMeasurement(simulated 'akoya', 75 readings, 75 valid, channels X, Y, Z)
     """
     path = Path(path)
     head = read_head(path, "a measurement file")
