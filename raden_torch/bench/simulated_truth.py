@@ -16,6 +16,7 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import FACTOR_PER_SR
 from raden_torch.optics import simulate_specimen
+from raden_torch.packages import require
 
 SPECIMEN = "yakogai"
 
@@ -35,6 +36,7 @@ def sphere_delta_e(model: RadenBrdf, size: int = 96) -> float:
 
     Both are exposed so that the simulated sphere's 99.5 % quantile is white.
     """
+    require("colour differences", "spectral")
     import colour
 
     gbuffer = sphere(size, samples=1)

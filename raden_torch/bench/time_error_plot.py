@@ -7,10 +7,13 @@ from pathlib import Path
 from raden_torch.bench.bench_row import Row
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
+from raden_torch.packages import require
 from raden_torch.reflectance.interpolation import SCHEMES
 
 
 def save_plot(rows: list[Row], chosen: str, measurement: BrdfMeasurement, path: Path) -> None:
+    """Write the two panels as a PNG: RMS and mean logarithmic error, over the copy's time."""
+    require("graphs", "plots")
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
