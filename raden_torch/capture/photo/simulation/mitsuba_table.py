@@ -98,12 +98,29 @@ def table_bsdf(mi: Any, table: Table) -> Any:
             found = [
                 (angle - first) / each + 0.5
                 for angle, first, each in zip(
-                    _angles(mi, wo, si.wi), table.first, step, strict=True
+                    self.angles(wo, si.wi), table.first, step, strict=True
                 )
             ]
             a, r, t = (f / size for f, size in zip(found, n, strict=True))
             f_r = mi.Color3f(self.texture.eval(mi.Point3f(t, r, a)))
             return dr.select(up, f_r * wo.z, 0)
+
+        def angles(self, light: Any, view: Any) -> tuple[Any, Any, Any]:
+            axis = dr.cross(light, view)
+            length = dr.norm(axis)
+            one = length < 1e-6
+            p = axis / dr.select(one, 1, length)
+            in_plane = mi.Vector3f(0, 0, 1) - p.z * p
+            a = dr.atan2(dr.dot(p, dr.cross(light, in_plane)), dr.dot(light, in_plane))
+            r = dr.atan2(dr.dot(p, dr.cross(in_plane, view)), dr.dot(view, in_plane))
+            t = dr.atan2(p.z, dr.norm(in_plane))
+            side = dr.select(a < 0, -1, 1)
+            theta = dr.atan2(dr.norm(mi.Vector2f(light.x, light.y)), light.z)
+            return (
+                dr.select(one, theta, side * a),
+                dr.select(one, -theta, side * r),
+                dr.select(one, 0, side * t),
+            )
 
         def pdf(self, ctx: Any, si: Any, wo: Any, active: Any = True) -> Any:
             return dr.select(active & (wo.z > 0), wo.z / dr.pi, 0)
@@ -116,27 +133,6 @@ def table_bsdf(mi: Any, table: Table) -> Any:
 
     mi.register_bsdf("raden_table", TableBsdf)
     return mi.load_dict({"type": "raden_table"})
-
-
-def _angles(mi: Any, light: Any, view: Any) -> tuple[Any, Any, Any]:
-    """Incidence, receiving and tilt in radians; both directions in the frame of the normal, z."""
-    import drjit as dr
-
-    axis = dr.cross(light, view)
-    length = dr.norm(axis)
-    one = length < 1e-6
-    p = axis / dr.select(one, 1, length)
-    in_plane = mi.Vector3f(0, 0, 1) - p.z * p
-    a = dr.atan2(dr.dot(p, dr.cross(light, in_plane)), dr.dot(light, in_plane))
-    r = dr.atan2(dr.dot(p, dr.cross(in_plane, view)), dr.dot(view, in_plane))
-    t = dr.atan2(p.z, dr.norm(in_plane))
-    side = dr.select(a < 0, -1, 1)
-    theta = dr.atan2(dr.norm(mi.Vector2f(light.x, light.y)), light.z)
-    return (
-        dr.select(one, theta, side * a),
-        dr.select(one, -theta, side * r),
-        dr.select(one, 0, side * t),
-    )
 
 
 def _tensor(mi: Any, values: NDArray[np.float32]) -> Any:

@@ -6,11 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.files.contact_sheet import contact_sheet
-from raden_torch.brdf.shading.lights import DirectionalLight
 from raden_torch.brdf.shading.relight import lamp_ring
-from raden_torch.errors import InputError
-from raden_torch.pictures import NewLight
+from raden_torch.pictures import _sheet
 
 H, W = 120, 150
 MARGIN = 4  # pixels: 6 % of the object's size, and no fewer
@@ -31,7 +28,7 @@ def square_mask() -> Tensor:
 @pytest.mark.parametrize(("count", "across"), [(1, 1), (4, 2), (6, 3), (12, 4)])
 def test_the_masks_part_stands_under_each_lamp_in_rows(count: int, across: int) -> None:
     """Expected: tiles of 48 x 68 pixels, lamp by lamp in reading order; near 3:2 as a whole."""
-    sheet = contact_sheet(tiles(count), square_mask(), lamp_ring(count), gain=1.0)
+    sheet = _sheet(tiles(count), square_mask(), lamp_ring(count), gain=1.0)
     height, width = 40 + 2 * MARGIN, 60 + 2 * MARGIN
     assert sheet.shape == (1, 3, count // across * height, across * width)
     corners = sheet[0, 0, ::height, ::width].flatten()
@@ -40,8 +37,8 @@ def test_the_masks_part_stands_under_each_lamp_in_rows(count: int, across: int) 
 
 def test_without_a_gain_the_mask_is_exposed() -> None:
     """Brighter than before, but not the dark around it: the sheet's brightest tile is near 1."""
-    plain = contact_sheet(tiles(4), square_mask(), lamp_ring(4), gain=1.0)
-    exposed = contact_sheet(tiles(4), square_mask(), lamp_ring(4), gain=None)
+    plain = _sheet(tiles(4), square_mask(), lamp_ring(4), gain=1.0)
+    exposed = _sheet(tiles(4), square_mask(), lamp_ring(4), gain=None)
     first, last = exposed[0, 0, 0, 0], exposed[0, 0, 48, 68]
     assert last / first == pytest.approx(4.0)
     assert last / plain[0, 0, 48, 68] == first / plain[0, 0, 0, 0]
@@ -53,7 +50,7 @@ def test_without_a_gain_the_mask_is_exposed() -> None:
 def test_the_dials_dot_is_where_the_lamp_is(turn: int, elevation_deg: float) -> None:
     """Expected: right, up, left, down of the dial's centre, nearer to it the higher the lamp."""
     lamp = lamp_ring(4, elevation_deg)[turn]
-    sheet = contact_sheet(torch.zeros(1, 1, 3, H, W), torch.ones(1, 1, H, W), [lamp], gain=1.0)
+    sheet = _sheet(torch.zeros(1, 1, 3, H, W), torch.ones(1, 1, H, W), [lamp], gain=1.0)
     radius = 0.05 * H
     centre_x, centre_y = W - 1 - 1.6 * radius, H - 1 - 1.6 * radius
     rows, columns = torch.nonzero(sheet[0, 0] > 0.8, as_tuple=True)
@@ -62,13 +59,3 @@ def test_the_dials_dot_is_where_the_lamp_is(turn: int, elevation_deg: float) -> 
     expected = [(out, 0.0), (0.0, out), (-out, 0.0), (0.0, -out)][turn]
     assert found_x.item() == pytest.approx(expected[0], abs=0.5)
     assert found_y.item() == pytest.approx(expected[1], abs=0.5)
-
-
-def test_which_lamps_light_what() -> None:
-    lamps = [DirectionalLight((0, 0, 1))]
-    assert NewLight(lamps).ring() is None
-    for ring in (NewLight(strip=3, elevation_deg=25.0).ring(), NewLight(sheet=3).ring()):
-        assert ring is not None
-        assert len(ring) == 3
-    with pytest.raises(InputError, match="expected a ring of 1…360, got 0"):
-        NewLight(strip=0).ring()
