@@ -10,9 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from raden_torch.arrays import Floats, group_sums
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
-from raden_torch.measurement.consistency import pair_contradicts
+from raden_torch.measurement.reading_checks import (
+    as_column,
+    check_angles,
+    check_duplicates,
+    check_shape,
+    check_values,
+)
+from raden_torch.measurement.reading_grid import ReadingGrid, is_filled
 from raden_torch.measurement.systematic_errors import SystematicErrors
 from raden_torch.reflectance.grid import DIGITS, AngleGrid
 
@@ -24,16 +31,6 @@ FACTOR_PER_SR = WHITE_LEVEL * np.pi
 """The reflectance factor of f_r = 1/sr: R = 100 π f_r."""
 LEAST_COVERAGE = 0.05
 """Share of a grid's cells with a reading below which it is too little for a model."""
-
-LARGEST = 1e30
-"""What is above is no reflectance factor, but infinite, or an instrument's code for an overload
-(9.9e37 in SCPI)."""
-_MISSING = (-999.0, -9999.0, -99999.0)
-"""Values that other programs write where they have none."""
-
-_ANGLE_LIMITS = {"incidence": (0.0, 90.0), "receiving": (-90.0, 90.0), "tilt": (-90.0, 90.0)}
-_MAX_GRID_CELLS = 20_000_000
-_SCATTERED = 50  # a grid with more cells than this many per reading is not a grid
 
 
 @dataclass(frozen=True)
@@ -59,32 +56,6 @@ class Metadata:
     systematic: SystematicErrors = field(default_factory=SystematicErrors)
     other: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class ReadingGrid:
-    """A measurement seen as a regular grid; NaN where a cell has no valid reading.
-
-    Attributes:
-        incidence_deg, receiving_deg, tilt_deg: the axes in degrees, ascending: A, R and T values.
-        values: `[A, R, T, C]` reflectance factors, the perfect reflecting diffuser = 100.
-        channels: the C channel names.
-    """
-
-    incidence_deg: Floats
-    receiving_deg: Floats
-    tilt_deg: Floats
-    values: Floats
-    channels: tuple[str, ...]
-
-    @property
-    def axes_deg(self) -> AngleGrid:
-        return AngleGrid(self.incidence_deg, self.receiving_deg, self.tilt_deg)
-
-    @property
-    def measured(self) -> NDArray[np.bool_]:
-        """`[A, R, T]`: True where the cell holds a valid reading."""
-        return np.asarray(~np.isnan(self.values).any(axis=-1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,31 +106,31 @@ class BrdfMeasurement:
     def __post_init__(self) -> None:
         set_ = lambda name, value: object.__setattr__(self, name, value)  # noqa: E731
         for name in ("incidence_deg", "receiving_deg", "tilt_deg"):
-            set_(name, _column(getattr(self, name), name))
+            set_(name, as_column(getattr(self, name), name))
         set_("channels", tuple(self.channels))
         set_("values", np.asarray(self.values, np.float64))
         n = len(self.incidence_deg)
         if n == 0:
             raise InputError("measurement: expected at least one reading, got none")
-        _check_shape("values", self.values, (n, len(self.channels)))
-        _check_shape("receiving_deg", self.receiving_deg, (n,))
-        _check_shape("tilt_deg", self.tilt_deg, (n,))
+        check_shape("values", self.values, (n, len(self.channels)))
+        check_shape("receiving_deg", self.receiving_deg, (n,))
+        check_shape("tilt_deg", self.tilt_deg, (n,))
         _check_channels(self.channels)
         if self.azimuth_deg is not None:
-            set_("azimuth_deg", _column(self.azimuth_deg, "azimuth_deg"))
-            _check_shape("azimuth_deg", self.azimuth_deg, (n,))
+            set_("azimuth_deg", as_column(self.azimuth_deg, "azimuth_deg"))
+            check_shape("azimuth_deg", self.azimuth_deg, (n,))
         if self.std is not None:
             set_("std", np.asarray(self.std, np.float64))
-            _check_shape("std", self.std, self.values.shape)
+            check_shape("std", self.std, self.values.shape)
         if self.count is not None:
             set_("count", np.asarray(self.count, np.int64))
-            _check_shape("count", self.count, (n,))
+            check_shape("count", self.count, (n,))
         valid = np.ones(n, bool) if self.valid is None else np.asarray(self.valid, bool)
-        _check_shape("valid", valid, (n,))
+        check_shape("valid", valid, (n,))
         set_("valid", valid & ~np.isnan(self.values).any(axis=1))
-        self._check_angles()
-        self._check_values()
-        self._check_duplicates()
+        check_angles(self.angles_deg)
+        check_values(self.values, self.std, self.valid, self.channels)
+        check_duplicates(self._geometries, self.values, self.std, self.valid, self.channels)
 
     def __len__(self) -> int:
         return len(self.incidence_deg)
@@ -170,6 +141,14 @@ class BrdfMeasurement:
     def angles_deg(self) -> Floats:
         """`[M, 3]` incidence, receiving and tilt."""
         return np.stack([self.incidence_deg, self.receiving_deg, self.tilt_deg], axis=1)
+
+    @property
+    def _geometries(self) -> Floats:
+        """`[M, 3]`, or `[M, 4]` with the sample's azimuth, 0…360 degrees."""
+        if self.azimuth_deg is None:
+            return self.angles_deg
+        azimuth = np.round(self.azimuth_deg % 360, DIGITS) % 360
+        return np.column_stack([self.angles_deg, azimuth])
 
     @property
     def is_spectral(self) -> bool:
@@ -236,10 +215,7 @@ class BrdfMeasurement:
     @property
     def is_grid(self) -> bool:
         """True where the readings fill a good part of a regular grid, at one azimuth."""
-        cells = np.prod(AngleGrid.through(self.angles_deg)[0].shape, dtype=np.float64)
-        return bool(
-            self.azimuths == 1 and cells <= min(_MAX_GRID_CELLS, _SCATTERED * len(self) + 1000)
-        )
+        return self.azimuths == 1 and is_filled(self.angles_deg)
 
     def grid(self) -> ReadingGrid:
         """The regular grid of these readings; its axes are the distinct angles that occur.
@@ -255,24 +231,15 @@ class BrdfMeasurement:
                 f"measurement: expected readings of one sample azimuth, got {self.azimuths}; "
                 "select the readings of one azimuth"
             )
-        grid, index = AngleGrid.through(self.angles_deg)
-        shape = grid.shape
-        cells = int(np.prod(shape, dtype=np.float64))
         if not self.is_grid:
+            shape = AngleGrid.through(self.angles_deg)[0].shape
             raise InputError(
                 f"measurement: expected readings on a grid, got {len(self)} scattered ones (a "
                 f"grid through all of them has {' x '.join(map(str, shape))} cells)"
             )
-        flat = np.ravel_multi_index(tuple(index.T), shape)[self.valid]
         weight = np.ones(len(self)) if self.count is None else np.maximum(self.count, 1.0)
-        weight = weight[self.valid]
-        total = group_sums(self.values[self.valid] * weight[:, None], flat, cells)
-        seen = np.bincount(flat, weight, cells)
-        with np.errstate(invalid="ignore"):
-            values = total / seen[:, None]
-        once = np.bincount(flat, minlength=cells)[flat] == 1  # a lone reading is kept to the bit
-        values[flat[once]] = self.values[self.valid][once]
-        return ReadingGrid(*grid, values.reshape(*shape, -1), self.channels)
+        valid = np.where(self.valid[:, None], self.values, np.nan)
+        return ReadingGrid.of(self.angles_deg, valid, weight, self.channels)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the project's CSV; `load_measurement` reads back an equal measurement."""
@@ -303,87 +270,6 @@ class BrdfMeasurement:
             f"BrdfMeasurement({kind}{self.metadata.sample!r}, {len(self)} readings, "
             f"{int(self.valid.sum())} valid, channels {', '.join(self.channels[:4])}"
             f"{', …' if len(self.channels) > 4 else ''})"
-        )
-
-    # -- checks --------------------------------------------------------------------------------
-
-    def _check_angles(self) -> None:
-        for name, (low, high) in _ANGLE_LIMITS.items():
-            angle = getattr(self, f"{name}_deg")
-            wrong = ~((angle >= low) & (angle <= high))
-            if wrong.any():
-                row = int(np.argmax(wrong))
-                raise InputError(
-                    f"measurement: reading {row + 1}: {name}_deg: expected {low:g}…{high:g} "
-                    f"degrees, got {angle[row]:g}"
-                )
-
-    def _check_values(self) -> None:
-        infinite = np.isinf(self.values) | (abs(self.values) > LARGEST) & self.valid[:, None]
-        if infinite.any():
-            row, channel = np.unravel_index(int(np.argmax(infinite)), self.values.shape)
-            value = self.values[row, channel]
-            raise InputError(
-                f"measurement: reading {row + 1}: {self.channels[channel]}: expected a finite "
-                f"reflectance factor, got {value:g}; mark a saturated reading as not valid, or "
-                "leave its value empty"
-            )
-        missing = np.isin(self.values, _MISSING) & self.valid[:, None]
-        if missing.any():
-            row, channel = np.unravel_index(int(np.argmax(missing)), self.values.shape)
-            raise InputError(
-                f"measurement: reading {row + 1}: {self.channels[channel]}: expected a reflectance "
-                f"factor, got {self.values[row, channel]:g}, which looks like a code for a missing "
-                "value; mark it as not valid, or leave its value empty"
-            )
-        if self.std is not None and (self.std < 0).any():
-            row, channel = np.unravel_index(int(np.argmax(self.std < 0)), self.std.shape)
-            raise InputError(
-                f"measurement: reading {row + 1}: std_{self.channels[channel]}: expected at least "
-                f"0, got {self.std[row, channel]:g}"
-            )
-
-    def _check_duplicates(self) -> None:
-        """Refuse readings of one geometry that contradict; see `consistency.pair_contradicts`."""
-        columns = [self.incidence_deg, self.receiving_deg, self.tilt_deg]
-        if self.azimuth_deg is not None:
-            columns.append(np.round(self.azimuth_deg % 360, DIGITS) % 360)
-        rows = np.flatnonzero(self.valid)
-        key = np.round(np.stack(columns, axis=1)[rows], DIGITS)
-        order = np.lexsort(key.T[::-1])
-        same = (key[order][1:] == key[order][:-1]).all(axis=1)
-        if not same.any():
-            return
-        first, second = rows[order[:-1][same]], rows[order[1:][same]]
-        std = None if self.std is None else np.hypot(self.std[first], self.std[second])
-        wrong = pair_contradicts(self.values[first], self.values[second], std)
-        if wrong.any():
-            k = int(np.argmax(wrong))
-            i, j = sorted((int(first[k]), int(second[k])))
-            geometry = ", ".join(f"{column[i]:g}" for column in columns)
-            raise InputError(
-                f"measurement: readings {i + 1} and {j + 1}: expected different geometries, or "
-                f"standard deviations, got {self.channels[0]} = {self.values[i, 0]:g} and "
-                f"{self.values[j, 0]:g} at the same geometry ({geometry} deg)"
-            )
-
-
-def _column(column: Any, name: str) -> Floats:
-    array = np.asarray(column, np.float64)
-    if array.ndim != 1:
-        raise InputError(f"measurement: {name}: expected shape [M], got {list(array.shape)}")
-    if not np.isfinite(array).all():
-        row = int(np.argmin(np.isfinite(array)))
-        raise InputError(
-            f"measurement: reading {row + 1}: {name}: expected a finite number, got {array[row]:g}"
-        )
-    return array
-
-
-def _check_shape(name: str, array: NDArray[Any], shape: tuple[int, ...]) -> None:
-    if array.shape != shape:
-        raise InputError(
-            f"measurement: {name}: expected shape {list(shape)}, got {list(array.shape)}"
         )
 
 

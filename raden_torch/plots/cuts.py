@@ -20,7 +20,6 @@ from raden_torch.measurement.readings import FACTOR_PER_SR
 
 ANGLES = ("incidence", "receiving", "tilt")
 ANGLE_LIMITS_DEG = {"incidence": (0.0, 90.0), "receiving": (-90.0, 90.0), "tilt": (-90.0, 90.0)}
-"""The reflectance factor of f_r = 1/sr."""
 
 SLAB_DEG = 2.5
 """A scattered reading this far from the held angle is still in the cut."""

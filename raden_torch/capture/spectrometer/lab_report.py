@@ -11,42 +11,9 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.journal import JournalContents
+from raden_torch.capture.spectrometer.reciprocity import Reciprocity, check_reciprocity
 from raden_torch.capture.spectrometer.reduction import ReducedScan
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.reflectance.grid import DIGITS
-from raden_torch.reflectance.symmetry import reciprocal
-
-_FEWEST_PAIRS = 20
-_RECIPROCAL = 0.8  # of the pairs within 2 standard deviations; 0.95 where only noise is left
-
-
-@dataclass(frozen=True)
-class Reciprocity:
-    """f(a, r, t) against f with light and viewer in each other's place, in Y.
-
-    Attributes:
-        pairs: how many pairs were measured.
-        mean: |difference| over the pair's mean, weighted by that mean.
-        within_two_std: share of the pairs that differ by at most two standard deviations.
-        worst_deg: incidence, receiving and tilt where they differ by most of them.
-    """
-
-    pairs: int
-    mean: float
-    within_two_std: float
-    worst_deg: tuple[float, ...] = ()
-
-    @property
-    def warning(self) -> str | None:
-        """What to say where the law is broken far beyond the readings' uncertainty."""
-        if self.pairs < _FEWEST_PAIRS or self.within_two_std >= _RECIPROCAL:
-            return None
-        share = 100 * (1 - self.within_two_std)
-        worst = ", ".join(f"{angle:g}" for angle in self.worst_deg)
-        return (
-            f"reciprocity is broken beyond the uncertainty in {share:.0f} % of the pairs, worst at "
-            f"({worst}): a zero is off, or the sample is not reciprocal"
-        )
 
 
 @dataclass(frozen=True)
@@ -118,19 +85,10 @@ class LabReport:
     def __str__(self) -> str:
         return "\n".join(f"{name}: {text}" for name, text in self.entries())
 
-    def _travel(self) -> str:
-        travel = f"{self.travel_deg:.0f} deg, summed over the axes"
-        if self.decisions:  # nobody gave an order of cells that were not known
-            return travel
-        ratio = self.as_given_deg / self.travel_deg if self.travel_deg else 1.0
-        return f"{travel}; in the order given {self.as_given_deg:.0f} ({ratio:.2g} times)"
-
     def entries(self) -> tuple[tuple[str, str], ...]:
         """Name and text, line by line: as they stand in the measurement's file, too."""
         kind = " (simulated)" if self.simulated else ""
-        reciprocity, percent = self.reciprocity, _percent
-        excluded = sum(self.excluded.values())
-        reasons = "; ".join(f"{why}: {count}" for why, count in self.excluded.items())
+        faults = ", ".join(f"{name} {count}" for name, count in sorted(self.faults.items()))
         return (
             ("scan", f"{self.sample or 'unnamed sample'}, {self.plan}{kind}"),
             ("plan hash", self.plan_hash),
@@ -138,46 +96,8 @@ class LabReport:
             ("goniometer", self.goniometer),
             ("colorimeter", self.colorimeter),
             ("started", f"{self.started}, {self.hours:.2f} h, sessions {self.sessions}"),
-            (
-                "coverage",
-                f"{self.valid} of {self.cells} cells ({percent(self.valid / self.cells)}); over "
-                f"range {self.over}, under range {self.under}, excluded {excluded}",
-            ),
-            ("excluded", reasons or "none"),
-            (
-                "readings taken",
-                f"{self.readings}, lost {self.lost}"
-                if self.finished
-                else f"{self.readings} of {self.planned}: the scan is not finished",
-            ),
-            (
-                "drift",
-                f"lamp {percent(self.lamp_change)} over the scan, at most "
-                f"{percent(self.lamp_step)} between two white series; corrected",
-            ),
-            (
-                "repeatability",
-                f"white {percent(self.white_std)} a reading; cells "
-                + (
-                    "read once"
-                    if np.isnan(self.repeat_std)
-                    else f"{percent(self.repeat_std)} a reading (median)"
-                ),
-            ),
-            (
-                "standard deviation",
-                f"{percent(self.median_std)} of Y (median); without the white's own "
-                f"{percent(self.white_relative_std)}",
-            ),
-            ("budget", ", ".join(f"{name} {percent(of)}" for name, of in self.terms.items())),
-            ("warnings", "; ".join(self.warnings) or "none"),
-            (
-                "reciprocity",
-                f"{reciprocity.pairs} pairs, broken by {percent(reciprocity.mean)} on average, "
-                f"{percent(reciprocity.within_two_std)} within 2 standard deviations"
-                if reciprocity.pairs
-                else "no pair was measured",
-            ),
+            *self._readings(),
+            *self._quality(),
             ("white reference", self.white),
             (
                 "ratio",
@@ -186,12 +106,65 @@ class LabReport:
                 else "of X, Y and Z: exact for a lamp with the spectrum of D65",
             ),
             ("travel", self._travel()),
+            ("faults", faults or "none"),
+        )
+
+    def _readings(self) -> tuple[tuple[str, str], ...]:
+        """What was read, of what was to be read."""
+        reasons = "; ".join(f"{why}: {count}" for why, count in self.excluded.items())
+        return (
             (
-                "faults",
-                ", ".join(f"{kind} {count}" for kind, count in sorted(self.faults.items()))
-                or "none",
+                "coverage",
+                f"{self.valid} of {self.cells} cells ({_percent(self.valid / self.cells)}); over "
+                f"range {self.over}, under range {self.under}, excluded "
+                f"{sum(self.excluded.values())}",
+            ),
+            ("excluded", reasons or "none"),
+            (
+                "readings taken",
+                f"{self.readings}, lost {self.lost}"
+                if self.finished
+                else f"{self.readings} of {self.planned}: the scan is not finished",
             ),
         )
+
+    def _quality(self) -> tuple[tuple[str, str], ...]:
+        """How far the values can be trusted."""
+        once = np.isnan(self.repeat_std)
+        cells = "read once" if once else f"{_percent(self.repeat_std)} a reading (median)"
+        terms = ", ".join(f"{name} {_percent(of)}" for name, of in self.terms.items())
+        return (
+            (
+                "drift",
+                f"lamp {_percent(self.lamp_change)} over the scan, at most "
+                f"{_percent(self.lamp_step)} between two white series; corrected",
+            ),
+            ("repeatability", f"white {_percent(self.white_std)} a reading; cells {cells}"),
+            (
+                "standard deviation",
+                f"{_percent(self.median_std)} of Y (median); without the white's own "
+                f"{_percent(self.white_relative_std)}",
+            ),
+            ("budget", terms),
+            ("warnings", "; ".join(self.warnings) or "none"),
+            ("reciprocity", self._reciprocity()),
+        )
+
+    def _reciprocity(self) -> str:
+        found = self.reciprocity
+        if not found.pairs:
+            return "no pair was measured"
+        return (
+            f"{found.pairs} pairs, broken by {_percent(found.mean)} on average, "
+            f"{_percent(found.within_two_std)} within 2 standard deviations"
+        )
+
+    def _travel(self) -> str:
+        travel = f"{self.travel_deg:.0f} deg, summed over the axes"
+        if self.decisions:  # nobody gave an order of cells that were not known
+            return travel
+        ratio = self.as_given_deg / self.travel_deg if self.travel_deg else 1.0
+        return f"{travel}; in the order given {self.as_given_deg:.0f} ({ratio:.2g} times)"
 
 
 def with_report(measurement: BrdfMeasurement, report: LabReport) -> BrdfMeasurement:
@@ -262,36 +235,6 @@ def _median_terms(reduced: ReducedScan) -> dict[str, float]:
     return {name: median for name, median in medians.items() if median != 0.0}
 
 
-def check_reciprocity(measurement: BrdfMeasurement) -> Reciprocity:
-    """Compare every valid cell with its reciprocal one, where that was measured, too.
-
-    Real samples and rigs break the law; a large figure is a reason to check the rig's zeros.
-    """
-    m = measurement.select(measurement.valid) if measurement.valid.any() else None
-    if m is None:
-        return Reciprocity(0, float("nan"), float("nan"))
-    rows = {key: row for row, key in enumerate(_keys(m.angles_deg))}
-    other = np.array([rows.get(key, -1) for key in _keys(reciprocal(m.angles_deg))])
-    here = np.flatnonzero(other > np.arange(len(m)))  # each pair once, none with itself
-    there = other[here]
-    y, std = m.values[:, 1], np.zeros(len(m)) if m.std is None else m.std[:, 1]
-    difference, size = abs(y[here] - y[there]), abs(y[here] + y[there]) / 2
-    if not len(here) or not size.sum() > 0:
-        return Reciprocity(0, float("nan"), float("nan"))
-    allowed = 2 * np.hypot(std[here], std[there]) + 1e-9 * size
-    worst = here[np.argmax(difference / np.maximum(allowed, 1e-12))]
-    return Reciprocity(
-        len(here),
-        float(difference.sum() / size.sum()),
-        float((difference <= allowed).mean()),
-        (
-            float(m.incidence_deg[worst]),
-            float(m.receiving_deg[worst]),
-            float(m.tilt_deg[worst]),
-        ),
-    )
-
-
 def now_utc() -> str:
     """Date and time, to the second."""
     return datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
@@ -309,10 +252,6 @@ def _decisions(contents: JournalContents) -> str:
         f"after {last.after} readings: RMS {last.rms:.5f} of the 99.9 % quantile of Y, mean "
         f"|Δ log(1+Y)| {last.log_error:.5f}{ended}"
     )
-
-
-def _keys(angles: Floats) -> list[tuple[float, ...]]:
-    return [tuple(row) for row in (np.round(angles, DIGITS) + 0.0).tolist()]  # −0 becomes 0
 
 
 def _percent(share: float) -> str:

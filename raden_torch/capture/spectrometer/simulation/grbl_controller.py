@@ -16,63 +16,34 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Floats
+from raden_torch.capture.spectrometer.simulation.controller_settings import ControllerSettings
 from raden_torch.capture.spectrometer.simulation.faults import Fault, FaultPlan
+from raden_torch.capture.spectrometer.simulation.gcode_block import LETTERS, Modes, read_block
 from raden_torch.capture.spectrometer.simulation.motion import Segment, planned
 from raden_torch.capture.spectrometer.simulation.serve import Outbox, serve
 from raden_torch.capture.spectrometer.simulation.stage import AXES, Stage, write_stage
+from raden_torch.capture.spectrometer.simulation.status_report import (
+    PLANNER_BLOCKS,
+    RECEIVE_BYTES,
+    StatusReport,
+)
 
-LETTERS = "XYZABC"
 GREETING = "\r\nGrblHAL 1.1f ['$' or '$HELP' for help]\r\n"
 LOCKED = "[MSG:'$H'|'$X' to unlock]\r\n"
 
-_BUILD_INFO = (
-    "[VER:1.1f.simulated:]",
-    "[OPT:VNML+,100,1024,6,0]",
-    "[AXS:6:XYZABC]",
-    "[NEWOPT:ENUMS,RT+,TC,SED]",
-    "[FIRMWARE:grblHAL]",
-    "[SIGNALS:D]",
-    "[NVS STORAGE:*EEPROM]",
-    "[DRIVER:raden_torch simulation]",
-    "[DRIVER VERSION:1]",
-)
-_PLANNER_BLOCKS = 100
-_RECEIVE_BYTES = 1023
 _LINE_BYTES = 256
 _RESET_S = 0.1  # from a reset to the greeting
 _BOOT_S = 0.5
 _PULL_OFF_S = 2.0  # what homing takes besides the way to the switch
 _SEARCH_S = 25.0  # how long homing looks for a switch that is not there
-_WCO_EVERY = 10
 _LOST_STEPS_DEG = 1.0
-_G_CODES = (0, 1, 4, 17, 18, 19, 20, 21, 40, 49, 53, 54, 61, 80, 90, 91, 93, 94)
-_M_CODES = (0, 1, 2, 3, 4, 5, 7, 8, 9, 30)
-
-DEFAULT_SETTINGS: dict[int, str] = {
-    **dict.fromkeys((2, 3, 5, 6, 13, 14, 15, 17, 18, 19, 20, 21, 22, 23), "0"),
-    **{0: "5.0", 1: "25", 4: "63", 9: "1", 10: "511", 11: "0.010", 12: "0.002"},
-    **{24: "25.0", 25: "500.0", 26: "250", 27: "1.000", 28: "0.100", 29: "0.0"},
-    **{30: "1000.000", 31: "0.000", 32: "0", 33: "5000.0", 34: "0.0", 35: "0.0", 36: "100.0"},
-    **{37: "0", 39: "1", 40: "0", 41: "0", 42: "2", 43: "1", 44: "4", 45: "3"},
-    **dict.fromkeys((46, 47, 48, 49, 60, 61, 62, 64, 65), "0"),
-    **{56: "5.0", 57: "100.0", 58: "-5.0", 59: "500.0", 63: "3"},
-    **{n: "250.00000" for n in range(100, 106)},
-    **{n: "500.000" for n in range(110, 116)},
-    **{n: "10.000" for n in range(120, 126)},
-    **{n: "200.000" for n in range(130, 136)},
-    **{341: "0", 342: "30.0", 343: "25.0", 344: "200.0", 345: "200.0", 346: "1", 376: "7"},
-    **{384: "0", 392: "4.0", 393: "1.0", 394: "0.0", 398: "100"},
-    **{481: "0", 485: "0", 486: "0", 538: "0", 539: "0.0", 673: "0.0", 676: "15"},
-    **{680: "0", 701: "0"},
-}
-"""The settings that the recorded controller lists, with its values."""
 
 
 class GrblController:
     """The protocol, without a port: bytes and the clock in, an outbox out. Times in seconds.
 
     Args:
-        settings: changes to `DEFAULT_SETTINGS`.
+        settings: changes to what the recorded controller has.
         switches: whether homing finds its switches.
         moved: told the true position and the shutter whenever they change.
     """
@@ -88,7 +59,7 @@ class GrblController:
         self.outbox = Outbox()
         self.wants_to_vanish = False
         self._faults = faults
-        self._settings = DEFAULT_SETTINGS | (settings or {})
+        self._settings = ControllerSettings(settings or {})
         self._switches = switches
         self._moved = moved or (lambda *_: None)
         self._lost = np.zeros(AXES)  # true position − the position that it believes in
@@ -96,7 +67,7 @@ class GrblController:
         self._restart()
         self.outbox.say("error:7\r\n", 0.0)  # as the recorded one does at its first boot
         self.outbox.say(GREETING, 0.0)
-        if self._settings[22] != "0":
+        if self._settings.homing:
             self._state = "Alarm"
             self.outbox.say(LOCKED, 0.0)
         self._tell_stage(0.0)
@@ -107,7 +78,7 @@ class GrblController:
         self._queue: deque[tuple[Floats, float]] = deque()
         self._waiting: deque[str] = deque()
         self._text = b""
-        self._motion, self._feed, self._absolute = 0, 0.0, True
+        self._modes = Modes()
         self._sticky = 0
         self._critical = False
         self._busy_until = 0.0
@@ -116,8 +87,7 @@ class GrblController:
         self._homing_ends: tuple[float, bool] | None = None
         self._accident: tuple[float, Fault] | None = None
         self._shutter_closed = False
-        self._reports = 0
-        self._overrides_told = False
+        self._report = StatusReport()
 
     # -- the instrument's side of `serve` --------------------------------------------------------
 
@@ -216,7 +186,7 @@ class GrblController:
 
     def _greet(self, at: float) -> None:
         self.outbox.say(GREETING, at)
-        if self._settings[22] != "0":
+        if self._settings.homing:
             self._state = "Alarm"
         if self._state == "Alarm":
             self.outbox.say(LOCKED, at)
@@ -228,7 +198,7 @@ class GrblController:
             self._soft_reset(now)
         elif byte == ord("?"):
             if self._state != "Home":  # as recorded: no report while homing
-                self.outbox.say(self._report(now), now)
+                self.outbox.say(self._status(now), now)
         elif byte == ord("!"):
             if self._state == "Run" and self._segment:
                 self._hold_at = self._segment.stopped_by_hold(now)
@@ -239,7 +209,7 @@ class GrblController:
         elif byte in b"\r\n":
             self._waiting.append(self._text.decode("ascii", "replace"))
             self._text = b""
-        elif len(self._text) < _RECEIVE_BYTES:
+        elif len(self._text) < RECEIVE_BYTES:
             self._text += bytes([byte])
 
     def _soft_reset(self, now: float) -> None:
@@ -267,7 +237,7 @@ class GrblController:
         self._hold_at = self._after_hold = None
         self._state = "Idle"
         if end is not None:
-            self._depart(where, end, self._feed or np.inf, now)
+            self._depart(where, end, self._modes.feed or np.inf, now)
 
     # -- lines -----------------------------------------------------------------------------------
 
@@ -279,7 +249,7 @@ class GrblController:
                 self._depart(self._position, end, feed, now)
             if not self._waiting or self._critical or self._state == "Home":
                 return
-            if len(self._queue) >= _PLANNER_BLOCKS or self._busy_until > now:
+            if len(self._queue) >= PLANNER_BLOCKS or self._busy_until > now:
                 return
             text = self._waiting[0]
             waits_for_rest = re.search(r"M\d|G0*4(?!\d)", text.upper()) or text.startswith("$H")
@@ -311,87 +281,51 @@ class GrblController:
                 return "ok\r\n"
             self._state = "Idle"
             return "[MSG:Caution: Unlocked]\r\nok\r\n"
-        if text == "$I":
-            return "\r\n".join((*_BUILD_INFO, "ok\r\n"))
-        if text == "$$":
-            return "".join(f"${n}={v}\r\n" for n, v in sorted(self._settings.items())) + "ok\r\n"
         if text == "$H":
             return self._home(now)
-        setting = re.fullmatch(r"\$(\d+)=(-?[\d.]+)", text)
-        if setting is None:
-            return "error:3\r\n"
-        if int(setting[1]) not in self._settings:
-            return "error:53\r\n"
-        self._settings[int(setting[1])] = setting[2]
-        return "ok\r\n"
+        return self._settings.answer(text)
 
     def _home(self, now: float) -> str | None:
-        if self._settings[22] == "0":
+        if not self._settings.homing:
             return "error:5\r\n"
         if self._state not in ("Idle", "Alarm"):
             return "error:8\r\n"
         self._state = "Home"
         truth = self._position + self._lost
-        way = float((np.abs(truth) / self._rates).max())
+        way = float((np.abs(truth) / self._settings.rates).max())
         self._homing_ends = (
             now + (way + _PULL_OFF_S if self._switches else _SEARCH_S),
             self._switches,
         )
         self._moved(None, truth, self._shutter_closed, now)
-        return self._report(now)
+        return self._status(now)
 
     def _gcode(self, text: str, now: float) -> int:
         """Carry out a block; 0 or the number of its error."""
-        words: list[tuple[str, float]] = []
-        rest = text
-        while rest:
-            match = re.match(r"([A-Z])([-+]?(?:\d+\.?\d*|\.\d+))", rest)
-            if match is None:
-                return 2 if rest[0].isalpha() else 1
-            words.append((match[1], float(match[2])))
-            rest = rest[match.end() :]
-        plain = [letter for letter, _ in words if letter not in "GM"]
-        for letter, number in words:
-            codes = {"G": _G_CODES, "M": _M_CODES}.get(letter)
-            if codes is not None and number not in codes:
-                return 20
-            if codes is None and letter not in (*LETTERS, "F", "P", "S", "N"):
-                return 20
-        if len(set(plain)) != len(plain):
-            return 25
-        values = dict(words)
-        motion, feed, absolute = self._motion, values.get("F", self._feed), self._absolute
-        for letter, number in words:
-            if letter == "G" and number in (0, 1):
-                motion = int(number)
-            if letter == "G" and number in (90, 91):
-                absolute = number == 90
-        moves = any(letter in LETTERS for letter in values)
-        if moves and motion == 1 and feed <= 0:
-            return 22
-        self._motion, self._feed, self._absolute = motion, feed, absolute
-        codes_given = [word for word in words if word[0] in "GM"]
-        if ("G", 4.0) in codes_given:
-            self._busy_until = now + values.get("P", 0.0)
+        block = read_block(text, self._modes)
+        if isinstance(block, int):
+            return block
+        self._modes = block.modes
+        if block.dwell_s is not None:
+            self._busy_until = now + block.dwell_s
             return 0
-        for _, number in (word for word in codes_given if word[0] == "M"):
-            if number in (8, 9):
-                self._shutter_closed = number == 8
-                self._overrides_told = False
-                self._tell_stage(now)
-        if moves:
-            self._move(values, now)
+        if block.shutter_closed is not None:
+            self._shutter_closed = block.shutter_closed
+            self._report.told_accessories = False
+            self._tell_stage(now)
+        if block.axes:
+            self._move(block.axes, now)
         return 0
 
-    def _move(self, values: dict[str, float], now: float) -> None:
+    def _move(self, axes: dict[str, float], now: float) -> None:
         last = self._queue[-1][0] if self._queue else self._position
         if self._segment and not self._queue:
             last = self._segment.end
         end = last.copy()
-        for index, letter in enumerate(LETTERS):
-            if letter in values:
-                end[index] = values[letter] + (0.0 if self._absolute else last[index])
-        self._queue.append((end, self._feed if self._motion == 1 else np.inf))
+        for letter, value in axes.items():
+            index = LETTERS.index(letter)
+            end[index] = value + (0.0 if self._modes.absolute else last[index])
+        self._queue.append((end, self._modes.feed if self._modes.motion == 1 else np.inf))
         if self._state == "Idle":
             self._depart(self._position, *self._queue.popleft(), now)
 
@@ -399,8 +333,10 @@ class GrblController:
         self._position = start
         if np.array_equal(start, end):
             return
-        accelerations = np.array([float(self._settings[120 + i]) for i in range(AXES)])
-        self._segment = planned(start, end, now, self._rates, accelerations, feed / 60.0)
+        settings = self._settings
+        self._segment = planned(
+            start, end, now, settings.rates, settings.accelerations, feed / 60.0
+        )
         self._state = "Run"
         for fault in (Fault.ALARM, Fault.RESET, Fault.VANISH):
             if self._faults.strikes(fault):
@@ -411,11 +347,6 @@ class GrblController:
 
     # -- state -----------------------------------------------------------------------------------
 
-    @property
-    def _rates(self) -> Floats:
-        """Units per second."""
-        return np.array([float(self._settings[110 + i]) for i in range(AXES)]) / 60.0
-
     def _where(self, now: float) -> Floats:
         if self._segment is None:
             return self._position
@@ -423,23 +354,10 @@ class GrblController:
             return self._hold_at[0] if now >= self._hold_at[1] else self._segment.position(now)
         return self._segment.position(now)
 
-    def _report(self, now: float) -> str:
-        position = ",".join(f"{value:.3f}" for value in self._where(now) + 0.0)
+    def _status(self, now: float) -> str:
         speed = self._segment.along(now)[1] * 60 if self._segment else 0.0
-        free = _PLANNER_BLOCKS - len(self._queue) - (self._segment is not None)
-        fields = [
-            self._state,
-            f"MPos:{position}",
-            f"Bf:{free},{_RECEIVE_BYTES}",
-            f"FS:{speed:.0f},0",
-        ]
-        if not self._overrides_told:
-            self._overrides_told = True
-            fields += ["Ov:100,100,100", f"A:{'F' if self._shutter_closed else ''}"]
-        elif self._reports % _WCO_EVERY == 1:
-            fields.append("WCO:" + ",".join(["0.000"] * AXES))
-        self._reports += 1
-        return f"<{'|'.join(fields)}>\r\n"
+        blocks = len(self._queue) + (self._segment is not None)
+        return self._report.text(self._state, self._where(now), speed, blocks, self._shutter_closed)
 
     def _tell_stage(self, now: float) -> None:
         self._moved(self._segment, self._position + self._lost, self._shutter_closed, now)

@@ -152,15 +152,7 @@ def simulated_rig(
             "stage": str(folder / "stage"),
         }
         stage = common | {"settings": _CONTROLLER}
-        meter = common | {
-            "scene": str(folder / "scene.npz"),
-            "axes": [["XYZABC".index(a), sign, zero] for a, sign, zero, _ in _AXES.values()],
-            "white_axis": 0,
-            "white_from": _WHITE_FROM_X,
-            "white_factor": WHITE_FACTOR,
-            "errors": asdict(conditions.errors),
-            "saturation": conditions.saturation_cd_m2,
-        }
+        meter = common | _meter(folder / "scene.npz", conditions)
         config_path = folder / "rig.toml"
         config_path.write_text(_rig_file(folder, time_scale, conditions), encoding="utf-8")
         running: list[subprocess.Popen[bytes]] = []
@@ -184,6 +176,19 @@ def _check(seed: int, faults: Mapping[Fault, float], time_scale: float) -> None:
             raise InputError(
                 f"faults: expected a Fault and its chance 0…1, got {fault}: {chance!r}"
             )
+
+
+def _meter(scene: Path, conditions: Conditions) -> dict[str, Any]:
+    """What the simulated spectroradiometer has to know beside what both instruments do."""
+    return {
+        "scene": str(scene),
+        "axes": [["XYZABC".index(a), sign, zero] for a, sign, zero, _ in _AXES.values()],
+        "white_axis": 0,
+        "white_from": _WHITE_FROM_X,
+        "white_factor": WHITE_FACTOR,
+        "errors": asdict(conditions.errors),
+        "saturation": conditions.saturation_cd_m2,
+    }
 
 
 def _start(module: str, link: str, config: dict[str, Any], folder: Path) -> subprocess.Popen[bytes]:

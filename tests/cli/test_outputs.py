@@ -156,7 +156,7 @@ def is_path(word: str) -> bool:
 
 def test_a_rig_s_white_is_an_input_of_the_scan(tmp_path: Path) -> None:
     rt.simulate_specimen("yakogai", step_deg=35.0).save(tmp_path / "tile.csv")
-    rig = (Path(__file__).parents[1] / "docs/rig.md").read_text().split("```toml\n")[1]
+    rig = (Path(__file__).parents[2] / "docs/rig.md").read_text().split("```toml\n")[1]
     rig = rig.split("```")[0].replace("# file =", "file =").replace("reflectance_factor", "# ")
     (tmp_path / "rig.toml").write_text(rig.replace("[45, 0, 0]", "[35, 0, 0]"))
     before = (tmp_path / "tile.csv").read_bytes()

@@ -220,7 +220,7 @@ def finished_journal(path: Path) -> None:
 
 
 def rig(path: Path) -> None:
-    text = (Path(__file__).parents[1] / "docs/rig.md").read_text(encoding="utf-8")
+    text = (Path(__file__).parents[2] / "docs/rig.md").read_text(encoding="utf-8")
     path.write_text(text.split("```toml\n")[1].split("```")[0], encoding="utf-8")
 
 

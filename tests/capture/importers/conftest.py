@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-GONIOMETER = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "goniometer_rt300s"
+GONIOMETER = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "goniometer_rt300s"
 
 WriteWorkbook = Callable[[Path, Sequence[Sequence[str | float | None]]], Path]
 

@@ -13,7 +13,7 @@ from raden_torch.capture.spectrometer.drivers import COLORIMETER_GROUP
 from raden_torch.capture.spectrometer.ports import ConnectionLostError, Target
 from raden_torch.capture.spectrometer.rig_config import load_rig, tomllib
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "rig.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "rig.md").read_text(encoding="utf-8")
 
 
 def block(kind: str, containing: str) -> str:

@@ -11,7 +11,9 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.bench import frame_vectors, naive, run_bench, simulated_pair, sphere_delta_e
+from raden_torch.bench import naive, run_bench, simulated_pair
+from raden_torch.bench.simulated_truth import sphere_delta_e
+from raden_torch.bench.timing import frame_vectors
 from raden_torch.reflectance.interpolation import SCHEMES
 
 
@@ -39,9 +41,9 @@ def test_delta_e_falls_with_the_interpolators_error() -> None:
 
 @pytest.mark.slow
 def test_bench_writes_its_numbers_and_its_plot(tmp_path: Path, analytic, monkeypatch) -> None:
-    from raden_torch import bench
+    from raden_torch.bench import timing
 
-    monkeypatch.setattr(bench, "SCALING", (16, 32))
+    monkeypatch.setattr(timing, "SCALING", (16, 32))
     m = analytic()
     off = rt.simulate_specimen("yakogai", geometries_deg=np.array([[10.0, 12.0, 3.0]] * 10))
     said: list[str] = []

@@ -9,12 +9,9 @@ import numpy as np
 import pytest
 
 from raden_torch.capture.spectrometer.journal import JournalContents, JournalFile, read_journal
-from raden_torch.capture.spectrometer.lab_report import (
-    check_reciprocity,
-    make_report,
-    with_report,
-)
+from raden_torch.capture.spectrometer.lab_report import make_report, with_report
 from raden_torch.capture.spectrometer.ports import Position, Target
+from raden_torch.capture.spectrometer.reciprocity import check_reciprocity
 from raden_torch.capture.spectrometer.reduction import ReducedScan, reduce_readings
 from raden_torch.capture.spectrometer.scan import run_scan
 from raden_torch.capture.spectrometer.scan_cells import grid
