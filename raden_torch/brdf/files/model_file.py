@@ -11,8 +11,10 @@ from typing import Any
 
 import torch
 
+from raden_torch.brdf.model.layout_choice import choose_layout
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
+from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError, check_type
 from raden_torch.files import check_output, check_seekable, written_beside
 
@@ -51,6 +53,7 @@ def describe(model: RadenBrdf) -> dict[str, Any]:
         "colour": COLOUR,
         "diffuse_gain": model.diffuse_gain,
         "specular_gain": model.specular_gain,
+        "runtime": asdict(model.layout),
         "provenance": asdict(model.provenance),
     }
     if model.table is not None:
@@ -133,13 +136,21 @@ def assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenBr
             _three(about["step_deg"]),
             _pieces(about["pieces"]),
         )
-    return RadenBrdf(
+    model = RadenBrdf(
         diffuse,
         table,
         diffuse_gain=float(about["diffuse_gain"]),
         specular_gain=float(about["specular_gain"]),
         provenance=Provenance(**about["provenance"]),
     )
+    runtime = about.get("runtime")
+    if runtime is None:  # a file from before there was a runtime form
+        model.layout = choose_layout(model)
+    else:
+        u, v, w = (int(n) for n in runtime["shape"])
+        c, k = (float(x) for x in runtime["warp"])
+        model.layout = RuntimeLayout((u, v, w), (c, k))
+    return model
 
 
 def _three(values: list[float]) -> tuple[float, float, float]:
