@@ -77,7 +77,11 @@ struct Address {
         const V square = dot(d, d);
         apart = V(16 * eps * eps) < square;
         delta = root(square);
-        y = dot(n, d);
+        lower = least(n_l, n_v);
+        middle = n_l + n_v;
+        // what d has along L + V is rounding: unit vectors are so to a few roundings
+        const V radial = dot(d, Vector3<V>{l.x + view.x, l.y + view.y, l.z + view.z});
+        y = fnma(V(0.25f) * middle, radial, dot(n, d));
         z = dot(n, normal);
         opposite = root(greatest(V(4.0f) - square, tiny));
         u = delta / (opposite + 2.0f);
@@ -89,8 +93,6 @@ struct Address {
             u = select(apart, u, 0.0f);
             delta = select(apart, delta, 1.0f);
         }
-        lower = least(n_l, n_v);
-        middle = n_l + n_v;
         across_scale = greatest(fma(V(table.warp[0]) * delta, lower, magnitude(y)), smallest);
         along_scale = greatest(fma(V(table.warp[1]) * delta, middle, magnitude(z)), smallest);
         v = y / across_scale;

@@ -91,13 +91,18 @@ def look_up(sphere: LitSphere, normal: Tensor, mask: Tensor | None) -> Tensor:
 
 def asks_for_gradient(model: RadenBrdf, *inputs: Tensor | None) -> bool:
     """Whether autograd records what is done with these."""
-    tensors = (t for t in (*inputs, *model.parameters()) if t is not None)
-    return torch.is_grad_enabled() and any(t.requires_grad for t in tensors)
+    tensors = (*inputs, *model.parameters(), model.diffuse_gain, model.specular_gain)
+    return torch.is_grad_enabled() and any(
+        isinstance(t, Tensor) and t.requires_grad for t in tensors
+    )
 
 
-def brdf(model: RadenBrdf, normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
-    """`model(normal, light, view)` by the kernel; `takes` has to agree first."""
-    return torch.ops.raden_torch.brdf(normal, light, view, model.runtime_table(), model.layout.warp)
+def brdf(
+    table: Tensor, warp: tuple[float, float], normal: Tensor, light: Tensor, view: Tensor
+) -> Tensor:
+    """`model(normal, light, view)` by the kernel, from the model's runtime table; `takes` has to
+    agree first."""
+    return torch.ops.raden_torch.brdf(normal, light, view, table, warp)
 
 
 def shade(

@@ -97,10 +97,12 @@ def choose_layout(model: RadenBrdf, nodes: int = NODES, seed: int = 0) -> Runtim
 
 def _samples(seed: int) -> dict[str, Angles]:
     """Geometries by the names of `bake_errors`."""
-    random = torch.Generator().manual_seed(seed)
+    random = torch.Generator("cpu").manual_seed(seed)
 
     def uniform(low: float, high: float) -> Tensor:
-        return low + (high - low) * torch.rand(_SAMPLES, generator=random, dtype=torch.float64)
+        return low + (high - low) * torch.rand(
+            _SAMPLES, generator=random, dtype=torch.float64, device="cpu"
+        )
 
     at = math.radians(70)
     box = uniform(0, at), uniform(-at, at), uniform(-at, at)
@@ -115,7 +117,7 @@ def _luminance(form: Callable[..., Tensor], model: RadenBrdf, angles: Angles) ->
     like = next(model.parameters(), torch.zeros((), device="cpu"))
     with torch.no_grad():
         f = form(*(a.to(like)[None, :, None] for a in angles))[:, :, 0].double().cpu()
-    return torch.tensor(_Y_OF_RGB, dtype=torch.float64) @ f * (100 * math.pi)
+    return torch.tensor(_Y_OF_RGB, dtype=torch.float64, device="cpu") @ f * (100 * math.pi)
 
 
 def _read_along(model: RadenBrdf, angles: Angles, axis: int, count: int, warp: float) -> Tensor:

@@ -121,17 +121,27 @@ class RadenBrdf(nn.Module):
         """
         geometry.check_vector_maps(normal=normal, light=light, view=view)
         self.check_device(normal)
-        if kernel.takes(self, normal, light, view):
-            return kernel.brdf(self, normal, light, view)
-        dtype = self.working_dtype(normal, light, view)
-        vectors = (geometry.normalised(m.to(dtype)) for m in (normal, light, view))
-        return self.of_unit_vectors(*vectors)
+        if not kernel.takes(self, normal, light, view):
+            dtype = self.working_dtype(normal, light, view)
+            normal, light, view = (geometry.normalised(m.to(dtype)) for m in (normal, light, view))
+        return self.of_unit_vectors(normal, light, view)
 
-    def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
-        """`forward` of vectors that are unit, or zero where invalid, and of one dtype."""
+    def of_unit_vectors(
+        self,
+        n: Tensor,
+        l: Tensor,  # noqa: E741
+        v: Tensor,
+        table: Tensor | None = None,
+    ) -> Tensor:
+        """`forward` of vectors that are unit, or zero where invalid, and of one dtype.
+
+        Args:
+            table: what `runtime_table` gave, where many calls share one.
+        """
+        table = self.runtime_table() if table is None else table
         if kernel.takes(self, n, l, v):
-            return kernel.brdf(self, n, l, v)
-        return read(self.runtime_table().to(n.dtype), self.layout.warp, n, l, v)
+            return kernel.brdf(table, self.layout.warp, n, l, v)
+        return read(table.to(n.dtype), self.layout.warp, n, l, v)
 
     def runtime_table(self) -> Tensor:
         """`[U, V, W, 3]` f_r in 1/sr: the runtime form that `forward` reads, by `layout`.
@@ -206,11 +216,15 @@ class RadenBrdf(nn.Module):
 
 def _state(model: RadenBrdf) -> tuple[Any, ...]:
     """What differs whenever the runtime table has to."""
-    parameters = (
-        (id(p), p.data_ptr(), -1 if p.is_inference() else p._version, p.device, p.dtype)
-        for p in model.parameters()
+    return (
+        model.layout,
+        *(
+            (id(x), x.data_ptr(), -1 if x.is_inference() else x._version, x.device, x.dtype)
+            if isinstance(x, Tensor)
+            else x
+            for x in (*model.parameters(), model.diffuse_gain, model.specular_gain)
+        ),
     )
-    return (*parameters, model.diffuse_gain, model.specular_gain, model.layout)
 
 
 def _gain(name: str, value: float | Tensor) -> float | Tensor:

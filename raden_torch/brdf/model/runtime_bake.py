@@ -26,23 +26,32 @@ if TYPE_CHECKING:
 
 Triple = tuple[float, float, float]
 
-torch.library.define(
-    "raden_torch::bake",
-    "(Tensor? table, Tensor? scale, Tensor? exponent, float diffuse_gain, float specular_gain, "
-    "Tensor[] cuts, float[] first_deg, float[] step_deg, int[] shape, float[] warp) -> Tensor",
+_ARGUMENTS = (
+    "Tensor? table, Tensor? scale, Tensor? exponent, float diffuse_gain, float specular_gain, "
+    "Tensor[] cuts, float[] first_deg, float[] step_deg, int[] shape, float[] warp"
 )
-_TABLE, _SCALE, _EXPONENT, _CUTS = 0, 1, 2, 5
+torch.library.define("raden_torch::bake", f"({_ARGUMENTS}) -> Tensor")
+torch.library.define(
+    "raden_torch::bake_backward", f"(Tensor gradient, {_ARGUMENTS}, bool[] wanted) -> Tensor[]"
+)
+_CUTS = 5
+_DIFFERENTIABLE = 3
+"""The first arguments, which have a gradient: table, scale, exponent."""
+_DEVICES = ("CPU", "CUDA", "XPU", "MPS")
 
 
 def bake(model: RadenBrdf, layout: RuntimeLayout) -> Tensor:
     """The runtime table of a model, `[U, V, W, 3]` f_r in 1/sr, in the model's dtype."""
     table, part = model.table, model.diffuse
-    return torch.ops.raden_torch.bake(
+    if table is None and part is None:
+        return torch.zeros(*layout.shape, 3, device="cpu")
+    tensor_gain = isinstance(model.diffuse_gain, Tensor) or isinstance(model.specular_gain, Tensor)
+    return (_bake if tensor_gain else torch.ops.raden_torch.bake)(
         None if table is None else table.values,
         None if part is None else part.scale,
         None if part is None else part.exponent,
-        float(model.diffuse_gain),
-        float(model.specular_gain),
+        model.diffuse_gain,
+        model.specular_gain,
         () if table is None else table.cuts,
         () if table is None else table.first_deg,
         () if table is None else table.step_deg,
@@ -124,8 +133,8 @@ def _bake(
     table: Tensor | None,
     scale: Tensor | None,
     exponent: Tensor | None,
-    diffuse_gain: float,
-    specular_gain: float,
+    diffuse_gain: float | Tensor,
+    specular_gain: float | Tensor,
     cuts: Sequence[Tensor],
     first_deg: Sequence[float],
     step_deg: Sequence[float],
@@ -134,9 +143,12 @@ def _bake(
 ) -> Tensor:
     """The formula, differentiable as often as anybody likes."""
     layout = RuntimeLayout((shape[0], shape[1], shape[2]), (warp[0], warp[1]))
-    like = next((t for t in (table, scale) if t is not None), torch.zeros(3, device="cpu"))
+    like = table if table is not None else scale
+    assert like is not None
     dtype = like.dtype if like.dtype == torch.float64 else torch.float32
-    f = torch.zeros(layout.nodes, 3, dtype=dtype, device=like.device)
+    # where torch has no sparse matrices, the CPU does it
+    device = like.device if like.device.type in ("cpu", "cuda") else torch.device("cpu")
+    f = torch.zeros(layout.nodes, 3, dtype=dtype, device=device)
     share: Tensor | float = diffuse_gain
     if table is not None and specular_gain != 0:
         pieces: Any = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None
@@ -147,28 +159,52 @@ def _bake(
             (step_deg[0], step_deg[1], step_deg[2]),
             pieces,
             layout,
-            str(like.device),
+            str(device),
             dtype,
         )
         weight = specular_gain * _node_map(source).weight
-        f = weight * _Linear.apply(table.to(dtype).reshape(-1, channels), source, False)
+        f = weight * _Linear.apply(table.to(device, dtype).reshape(-1, channels), source, False)
         share = diffuse_gain - weight
     if scale is not None and exponent is not None and bool(torch.as_tensor(share != 0).any()):
-        a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, like.device))
-        body = diffuse(a, r, t, scale.double(), exponent.double())
+        a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, device))
+        body = diffuse(a, r, t, scale.to(device).double(), exponent.to(device).double())
         f = f + share * body[:, :, 0].T.to(dtype)
-    return f.reshape(*layout.shape, -1)
+    return f.reshape(*layout.shape, -1).to(like.device)
 
 
-@torch.library.impl("raden_torch::bake", "CompositeExplicitAutograd")
+@torch.library.impl("raden_torch::bake", _DEVICES)
 def _bake_op(*arguments: Any) -> Tensor:
     return _bake(*arguments).contiguous()
 
 
+@torch.library.impl("raden_torch::bake_backward", _DEVICES)
+def _bake_backward(gradient: Tensor, *arguments: Any) -> list[Tensor]:
+    *inputs, wanted = arguments
+    with torch.enable_grad():
+        of = [
+            inputs[i].detach().requires_grad_() if want else inputs[i]
+            for i, want in enumerate(wanted)
+        ]
+        f = _bake(*of, *inputs[_DIFFERENTIABLE:])
+    of = [x for x, want in zip(of, wanted, strict=True) if want]
+    found: Sequence[Tensor | None] = [None] * len(of)
+    if f.requires_grad:
+        found = torch.autograd.grad(f, of, gradient, allow_unused=True)
+    return [
+        torch.zeros_like(x) if g is None else g.contiguous() for g, x in zip(found, of, strict=True)
+    ]
+
+
 def _bake_shape(table: Tensor | None, scale: Tensor | None, *others: Any) -> Tensor:
-    like = next((t for t in (table, scale) if t is not None), torch.zeros(3, device="cpu"))
+    like = table if table is not None else scale
+    assert like is not None
     dtype = like.dtype if like.dtype == torch.float64 else torch.float32
     return like.new_empty((*others[-2], like.shape[-1]), dtype=dtype)
+
+
+def _bake_backward_shape(gradient: Tensor, *arguments: Any) -> list[Tensor]:
+    *inputs, wanted = arguments
+    return [x.new_empty(x.shape) for x, want in zip(inputs, wanted, strict=False) if want]
 
 
 def _keep(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
@@ -185,25 +221,22 @@ def _gradient(ctx: Any, gradient: Tensor) -> tuple[Any, ...]:
         for x, is_tensor in zip(ctx.inputs, ctx.is_tensor, strict=True)
     ]
     inputs[_CUTS] = list(saved)
-    wanted = [i for i in (_TABLE, _SCALE, _EXPONENT) if ctx.needs_input_grad[i] is True]
-    further = torch.is_grad_enabled()  # somebody wants the gradient of the gradient
-    with torch.enable_grad():
-        if not further:
-            for i in wanted:
-                inputs[i] = inputs[i].detach().requires_grad_()
+    wanted = [need is True for need in ctx.needs_input_grad[:_DIFFERENTIABLE]]
+    if torch.is_grad_enabled():  # somebody wants the gradient of the gradient
+        of = [x for x, want in zip(inputs, wanted, strict=False) if want]
         f = _bake(*inputs)
-        of = [inputs[i] for i in wanted]
-        found: Sequence[Tensor | None] = [None] * len(of)
-        if f.requires_grad:
-            found = torch.autograd.grad(f, of, gradient, create_graph=further, allow_unused=True)
-    by_input: list[Any] = [
+        found = torch.autograd.grad(f, of, gradient, create_graph=True, allow_unused=True)
+    else:
+        found = torch.ops.raden_torch.bake_backward(gradient, *inputs, wanted)
+    each = iter(found)
+    # torch counts an empty list as one of tensors, too
+    others = [
         [None] * len(x) if isinstance(x, list) and (i == _CUTS or not x) else None
         for i, x in enumerate(inputs)
     ]
-    for i, g in zip(wanted, found, strict=True):
-        by_input[i] = g
-    return tuple(by_input)
+    return (*(next(each) if want else None for want in wanted), *others[_DIFFERENTIABLE:])
 
 
 torch.library.register_fake("raden_torch::bake", _bake_shape)
+torch.library.register_fake("raden_torch::bake_backward", _bake_backward_shape)
 torch.library.register_autograd("raden_torch::bake", _gradient, setup_context=_keep)

@@ -14,8 +14,9 @@ The constants c and k (`RuntimeLayout.warp`) put the nodes where the highlight i
 
 With d = V − L, δ = |d|, Y = N·d and Z = N·(L × d): y = Y/δ, x = (N·L + N·V)/√(4 − δ²) and
 z/x = 2Z/(δ (N·L + N·V)). So an address takes dot products, two roots and three divisions. It loses
-nothing where L and V almost agree, because d is exact there. At L = V the plane of L and N is
-taken, as in `geometry`.
+nothing where L and V almost agree: d is exact there, and what it has along L + V, where L and V are
+unit vectors but for rounding, is taken off. At L = V the plane of L and N is taken, as in
+`geometry`.
 """
 
 from __future__ import annotations
@@ -102,7 +103,10 @@ def address(
     apart = square > (4 * torch.finfo(n.dtype).eps) ** 2
     delta = torch.sqrt(torch.where(apart, square, torch.ones_like(square)))
     sine = geometry.length(geometry.cross(n, l))
-    y = torch.where(apart, geometry.dot(n, d), sine)
+    middle = n_l + n_v
+    # unit vectors are so to a few roundings: what d has along L + V is not the angle between them
+    radial = geometry.dot(d, l + v)
+    y = torch.where(apart, geometry.dot(n, d) - radial * middle / 4, sine)
     z = geometry.dot(n, geometry.cross(l, d))
     z = torch.where(apart, z, torch.zeros_like(z))
     tiny = torch.finfo(n.dtype).tiny ** 0.5
@@ -110,8 +114,7 @@ def address(
     u = torch.where(apart, delta / (2 + opposite), torch.zeros_like(delta))
     least = torch.minimum(n_l, n_v).clamp(min=0)
     across = y / (y.abs() + warp[0] * delta * least).clamp(min=_LEAST)
-    middle = (n_l + n_v).clamp(min=0)
-    along = z / (z.abs() + warp[1] / 2 * delta * middle).clamp(min=_LEAST)
+    along = z / (z.abs() + warp[1] / 2 * delta * middle.clamp(min=0)).clamp(min=_LEAST)
     return u, across, along, above
 
 
