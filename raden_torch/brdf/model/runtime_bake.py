@@ -1,9 +1,9 @@
 """Fit form → runtime form: the model at every node of a `RuntimeLayout`, eq. (2) and all.
 
 What a node holds is linear in the fit form's table T: I_d d + I_s w (M T − d), with the diffuse
-part d, the table's weight w, and a matrix M of eight entries a row, which is made once per layout.
-It is the torch operator `raden_torch::bake`, differentiable in the table and the diffuse
-parameters.
+part d, the table's weight w, and a matrix M of eight entries a row, which is made once per layout;
+then `_balanced` moves the nodes a little. It is the torch operator `raden_torch::bake`,
+differentiable in the table and the diffuse parameters.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ torch.library.define(
 _CUTS = 5
 _DIFFERENTIABLE = 3
 """The first arguments, which have a gradient: table, scale, exponent."""
+_MOST_BALANCE = 0.05
 _DEVICES = ("CPU", "CUDA", "XPU", "MPS")
 
 
@@ -169,7 +170,25 @@ def _bake(
         a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, device))
         body = diffuse(a, r, t, scale.to(device).double(), exponent.to(device).double())
         f = f + share * body[:, :, 0].T.to(dtype)
-    return f.reshape(*layout.shape, -1).to(like.device)
+    return _balanced(f.reshape(*layout.shape, -1)).to(like.device)
+
+
+def _balanced(values: Tensor) -> Tensor:
+    """Nodes `[U, V, W, C]` that make the mean between them right instead of the nodes themselves.
+
+    A chord lies above a function of second difference D, on average by D/12 of that axis: taking
+    this off each node is to second order the least-squares fit, whose RMS error is 0.41 of the
+    chord's. Beside a highlight narrower than the nodes are apart D says nothing: no value changes
+    by more than 5 %, and none its sign.
+    """
+    total = torch.zeros_like(values)
+    for axis, count in enumerate(values.shape[:3]):
+        before, here, after = (values.narrow(axis, first, count - 2) for first in range(3))
+        second = before - 2 * here + after
+        ends = torch.zeros_like(values.narrow(axis, 0, 1))
+        total = total + torch.cat([ends, second, ends], axis)
+    most = _MOST_BALANCE * values.abs()
+    return values - torch.minimum(torch.maximum(total / 12, -most), most)
 
 
 @torch.library.impl("raden_torch::bake", _DEVICES)
