@@ -76,53 +76,20 @@ void join_rows(Scene& s, Map& further) {
     s.rows = 1;
 }
 
-struct ModelOf {
-    std::int64_t table = 0;  // address, 0 for none
-    std::array<int, 3> nodes{};
-    std::vector<std::int64_t> cuts;  // addresses of (start, pieces) by cell, of a baked table
-    std::vector<int> cells;
-    std::array<std::vector<float>, 3> start, pieces;  // the same, apart and in whole blocks
-    std::array<double, 3> first_deg{}, step_deg{};
-    bool has_diffuse = false;
-    std::array<float, 3> scale{}, exponent{};
-    float diffuse_gain = 1, specular_gain = 1;
-};
+// The runtime form, as Python gives it: (address of [U, V, W, 3], U, V, W), and c and k.
+using TableOf = std::array<std::int64_t, 4>;
+using WarpOf = std::array<float, 2>;
 
-// The kernel keeps pointers into `from`, which has to live as long as the model.
-raden::Model as_model(ModelOf& from) {
-    raden::Model m;
-    m.table.values = reinterpret_cast<const float*>(from.table);
-    for (int k = 0; k < 3; ++k) {
-        m.table.nodes[k] = static_cast<float>(from.nodes[k]);
-        m.table.per_radian[k] = static_cast<float>(180 / M_PI / from.step_deg[k]);
-        m.table.offset[k] = static_cast<float>(-from.first_deg[k] / from.step_deg[k]);
-        m.table.box[k] = m.table.nodes[k] - 1;
-        if (from.cuts.size() == 3) {
-            const auto* cuts = reinterpret_cast<const float*>(from.cuts[k]);
-            m.table.blocks[k] = (from.cells[k] + raden::block_cells - 1) / raden::block_cells;
-            const std::size_t padded = m.table.blocks[k] * raden::block_cells;
-            from.start[k].assign(padded, 0.0f);
-            from.pieces[k].assign(padded, 1.0f);
-            for (int i = 0; i < from.cells[k]; ++i) {
-                from.start[k][i] = cuts[2 * i];
-                from.pieces[k][i] = cuts[2 * i + 1];
-            }
-            m.table.start[k] = from.start[k].data();
-            m.table.pieces[k] = from.pieces[k].data();
-            m.table.last_cell[k] = static_cast<float>(from.cells[k] - 1);
-            const int beside = k == 1 ? from.cells[0] : 0;  // r − a spans the cells of both
-            m.table.box[k] = static_cast<float>(from.cells[k] - beside);
-        }
-        m.scale[k] = from.scale[k];
-        m.exponent[k] = from.exponent[k];
-    }
-    m.table.row = 3L * from.nodes[2];
-    m.table.slab = m.table.row * from.nodes[1];
-    m.table.large = m.table.slab * from.nodes[0] > near_caches;
-    m.has_diffuse = from.has_diffuse;
-    m.diffuse_gain = from.diffuse_gain;
-    m.specular_gain = from.specular_gain;
-    return m;
+raden::Table as_table(const TableOf& from, const WarpOf& warp) {
+    raden::Table t;
+    t.values = reinterpret_cast<const float*>(from[0]);
+    for (int k = 0; k < 3; ++k) t.last[k] = static_cast<float>(from[k + 1] - 1);
+    t.count[0] = static_cast<float>(from[2]), t.count[1] = static_cast<float>(from[3]);
+    t.warp[0] = warp[0], t.warp[1] = warp[1] / 2;
+    t.row = 3 * from[3];
+    t.slab = t.row * from[2];
+    t.large = t.slab * from[1] > near_caches;
+    return t;
 }
 
 void run(Scene& scene, const std::string& level, int threads) {
@@ -136,18 +103,17 @@ void run(Scene& scene, const std::string& level, int threads) {
                      [&](long first, long last) { tiles(scene, first, last); });
 }
 
-// Slice k of the tiles adds to sums[k] and body[k]: the same bits whichever thread takes it.
-void differentiate(Scene& scene, raden::Gradient& wanted, float* sums, double* body, int slices,
+// Slice k of the tiles adds to sums[k]: the same bits whichever thread takes it.
+void differentiate(Scene& scene, raden::Gradient& wanted, float* sums, int slices,
                    const std::string& level) {
     join_rows(scene, wanted.image);
     const auto tiles = gradient_of(level);
     const long count = raden::tile_count(scene);
-    const long floats = scene.model.table.slab * static_cast<long>(scene.model.table.nodes[0]);
+    const long floats = scene.table.slab * (static_cast<long>(scene.table.last[0]) + 1);
     raden::share_out(slices, 1, slices, [&](long first, long last) {
         for (long k = first; k < last; ++k)
             tiles(scene, wanted,
-                  {count * k / slices, count * (k + 1) / slices, sums ? sums + k * floats : nullptr,
-                   body + 6 * k});
+                  {count * k / slices, count * (k + 1) / slices, sums ? sums + k * floats : nullptr});
     });
 }
 
@@ -156,26 +122,13 @@ void differentiate(Scene& scene, raden::Gradient& wanted, float* sums, double* b
 NB_MODULE(_kernel, m) {
     m.doc() = "The fused evaluation of a raden model; see raden_torch/brdf/model/kernel.py.";
     m.def("levels", &levels, "Instruction sets that this machine has, the fastest last.");
-    nb::class_<ModelOf>(m, "Model")
-        .def(nb::init<>())
-        .def_rw("table", &ModelOf::table)
-        .def_rw("nodes", &ModelOf::nodes)
-        .def_rw("cuts", &ModelOf::cuts)
-        .def_rw("cells", &ModelOf::cells)
-        .def_rw("first_deg", &ModelOf::first_deg)
-        .def_rw("step_deg", &ModelOf::step_deg)
-        .def_rw("has_diffuse", &ModelOf::has_diffuse)
-        .def_rw("scale", &ModelOf::scale)
-        .def_rw("exponent", &ModelOf::exponent)
-        .def_rw("diffuse_gain", &ModelOf::diffuse_gain)
-        .def_rw("specular_gain", &ModelOf::specular_gain);
     m.def(
         "reflect",
-        [](ModelOf& model, MapOf normal, MapOf light, MapOf view,
+        [](TableOf table, WarpOf warp, MapOf normal, MapOf light, MapOf view,
            std::array<std::int64_t, 3> size, std::int64_t image, const std::string& level,
            int threads) {
             Scene s;
-            s.model = as_model(model);
+            s.table = as_table(table, warp);
             s.batch = size[0], s.rows = size[1], s.columns = size[2];
             s.normal = as_map(normal), s.light = as_map(light), s.view = as_map(view);
             s.image = reinterpret_cast<float*>(image);
@@ -194,8 +147,8 @@ NB_MODULE(_kernel, m) {
             s.sphere.values = reinterpret_cast<const float*>(values);
             s.sphere.side = side;
             std::copy(frame.begin(), frame.end(), s.sphere.frame);
-            s.model.table.values = s.sphere.values;
-            s.model.table.row = 3L * side;  // and no slabs: `fetch` reads its two rows twice
+            s.table.values = s.sphere.values;
+            s.table.row = 3L * side;  // and no slabs: `fetch` reads its two rows twice
             s.image = reinterpret_cast<float*>(image);
             nb::gil_scoped_release released;
             run(s, level, threads);
@@ -205,11 +158,11 @@ NB_MODULE(_kernel, m) {
         "Radiance of a lit sphere [side, side, 3] at each normal into an image [B, 3, H, W].");
     m.def(
         "differentiate",
-        [](ModelOf& model, MapOf normal, MapOf light, MapOf view, MapOf gradient,
-           std::array<std::int64_t, 3> size, std::array<std::int64_t, 3> maps, std::int64_t table,
-           std::int64_t body, int slices, const std::string& level) {
+        [](TableOf table, WarpOf warp, MapOf normal, MapOf light, MapOf view, MapOf gradient,
+           std::array<std::int64_t, 3> size, std::array<std::int64_t, 3> maps, std::int64_t sums,
+           int slices, const std::string& level) {
             Scene s;
-            s.model = as_model(model);
+            s.table = as_table(table, warp);
             s.batch = size[0], s.rows = size[1], s.columns = size[2];
             s.normal = as_map(normal), s.light = as_map(light), s.view = as_map(view);
             raden::Gradient wanted;
@@ -218,19 +171,18 @@ NB_MODULE(_kernel, m) {
             wanted.light = reinterpret_cast<float*>(maps[1]);
             wanted.view = reinterpret_cast<float*>(maps[2]);
             nb::gil_scoped_release released;
-            differentiate(s, wanted, reinterpret_cast<float*>(table),
-                          reinterpret_cast<double*>(body), slices, level);
+            differentiate(s, wanted, reinterpret_cast<float*>(sums), slices, level);
         },
         "The gradient of `reflect`: into maps [B, 3, H, W] (0 for none), and into one table (or 0) "
-        "and six sums for each slice of the pixels.");
+        "for each slice of the pixels.");
     m.def(
         "shade",
-        [](ModelOf& model, MapOf normal, std::optional<MapOf> view,
+        [](TableOf table, WarpOf warp, MapOf normal, std::optional<MapOf> view,
            std::optional<MapOf> position, std::optional<MapOf> camera, std::optional<MapOf> mask,
            std::int64_t lights, int light_count, std::array<std::int64_t, 3> size,
            std::int64_t image, const std::string& level, int threads) {
             Scene s;
-            s.model = as_model(model);
+            s.table = as_table(table, warp);
             s.batch = size[0], s.rows = size[1], s.columns = size[2];
             s.normal = as_map(normal), s.view = as_map(view), s.position = as_map(position);
             s.camera = as_map(camera), s.mask = as_map(mask);
@@ -246,7 +198,7 @@ NB_MODULE(_kernel, m) {
             nb::gil_scoped_release released;
             run(s, level, threads);
         },
-        nb::arg("model"), nb::arg("normal"), nb::arg("view").none(), nb::arg("position").none(),
+        nb::arg("table"), nb::arg("warp"), nb::arg("normal"), nb::arg("view").none(), nb::arg("position").none(),
         nb::arg("camera").none(), nb::arg("mask").none(), nb::arg("lights"),
         nb::arg("light_count"), nb::arg("size"), nb::arg("image"), nb::arg("level"),
         nb::arg("threads"), "Radiance of a G-buffer under lights into an image [B, 3, H, W].");

@@ -9,26 +9,14 @@ struct Map {
     long batch = 0, channel = 0, row = 0, column = 0;
 };
 
-// f_r on a grid, [A, R, T, 3] in one piece; cell = radians · per_radian + offset.
+// f_r at the nodes of the runtime form, [U, V, W, 3] in one piece (runtime_table.py).
 struct Table {
     const float* values = nullptr;
-    float nodes[3] = {0, 0, 0};
-    // a baked table: axis 1 is r − a, and cell i of an axis begins at node start[i] and has
-    // pieces[i] of them, both in whole blocks; `box` counts the measured cells along a, r, t
-    const float *start[3] = {nullptr, nullptr, nullptr}, *pieces[3] = {nullptr, nullptr, nullptr};
-    int blocks[3] = {0, 0, 0};
-    float box[3] = {0, 0, 0}, last_cell[3] = {0, 0, 0};
-    bool large = false;      // does not stay in the near caches
-    long row = 0, slab = 0;  // floats from one receiving, or incidence, to the next
-    float per_radian[3] = {0, 0, 0}, offset[3] = {0, 0, 0};
-};
-
-// Eq. (2): I_d · diffuse + I_s · specular, with eqs (3)–(6) as `scale` and `exponent`.
-struct Model {
-    Table table;
-    bool has_diffuse = false;
-    float scale[3] = {0, 0, 0}, exponent[3] = {1, 1, 1};
-    float diffuse_gain = 1, specular_gain = 1;
+    float last[3] = {0, 0, 0};  // nodes of each axis less one
+    float count[2] = {0, 0};    // nodes of the second and third axis
+    float warp[2] = {1, 1};     // c and k/2
+    bool large = false;         // does not stay in the near caches
+    long row = 0, slab = 0;     // floats from one node of the second, or first, axis to the next
 };
 
 enum LightKind { directional = 0, point = 1, spot = 2 };
@@ -61,19 +49,18 @@ struct Scene {
     const Light* lights = nullptr;            // [lights, batch]
     int light_count = 0;
     bool bounded = false;  // by the tiles' positions: some light has an end
-    Model model;
+    Table table;
     float* image = nullptr;  // [B, 3, H, W] in one piece
     bool stream = false;     // write past the caches
 };
 
-constexpr int block_cells = 32;  // of a baked table's axis, looked up at once
 constexpr int tile_pixels = 64;
 
 // Where a tile's pixels lie in the table: first node and the weights of the nodes around it.
 struct Cells {
     alignas(64) int first[tile_pixels];
-    alignas(64) float weight[4][tile_pixels];  // (a, r), (a, r + 1), (a + 1, r), (a + 1, r + 1)
-    alignas(64) float near[tile_pixels], far[tile_pixels];  // t, t + 1
+    alignas(64) float weight[4][tile_pixels];  // (u, v), (u, v + 1), (u + 1, v), (u + 1, v + 1)
+    alignas(64) float near[tile_pixels], far[tile_pixels];  // w, w + 1
 };
 
 static inline long tiles_per_row(const Scene& s) { return (s.columns + tile_pixels - 1) / tile_pixels; }
@@ -88,8 +75,7 @@ struct Gradient {
 // A run of tiles with sums of its own, so that no two threads add to the same number.
 struct Slice {
     long first_tile = 0, last_tile = 0;
-    float* table = nullptr;   // like the table, or null
-    double* body = nullptr;   // scale and exponent of the three channels
+    float* table = nullptr;  // like the table, or null
 };
 
 // One per instruction set; the same template, compiled with other flags.

@@ -34,10 +34,9 @@ struct Tile {
     bool whole = false;        // all 64
     int at[tile_pixels];       // which ones
     unsigned lit[groups];      // lanes that read the table
-    bool has_body[groups];     // lanes with a diffuse part that does not cancel
     Cells cells;
     alignas(64) float rgb[4 * tile_pixels];
-    alignas(64) float body[3][tile_pixels], sum[3][tile_pixels], masked[tile_pixels];
+    alignas(64) float sum[3][tile_pixels], masked[tile_pixels];
     alignas(64) float n[3][tile_pixels], v[3][tile_pixels], n_v[tile_pixels];
     unsigned seen[groups];
     alignas(64) float copies[4][3][tile_pixels];
@@ -110,57 +109,29 @@ struct Tile {
         return {V::load(planes[0] + i), V::load(planes[1] + i), V::load(planes[2] + i)};
     }
 
-    // One light on one vector of pixels, `strength` times f_r. Fills cells, lit, body.
+    // One light on one vector of pixels, `strength` times f_r. Fills cells and lit.
     void place_group(int g, unsigned lanes, const Vector3<V>& normal, const Vector3<V>& view,
                      const V& cos_r, const Vector3<V>& light, const V& cos_i, const V& strength,
                      typename V::Mask above) {
-        const Model& m = scene.model;
+        const Table& table = scene.table;
         const int i = g * V::lanes;
-        const HalfAngles<V> half = half_angles(normal, light, view, cos_i, cos_r, lanes);
-        V weight = 0.0f;
-        if (m.table.values) {
-            V fa, fr, ft;
-            const V a = arctan(half.a), r = arctan(half.r), t = arctan(half.t);
-            V beyond[3], pieces;
-            V x = inside_box(m.table, 0, a + a, beyond[0]);
-            V y = inside_box(m.table, 1, r + r, beyond[1]);
-            V z = inside_box(m.table, 2, t + t, beyond[2]);
-            weight = fade_beyond(beyond[0]) * fade_beyond(beyond[1]) * fade_beyond(beyond[2]);
-            if (m.table.start[0]) {
-                y = cut(m.table, 1, y - x + m.table.box[0], pieces);
-                x = cut(m.table, 0, x, pieces);
-                z = cut(m.table, 2, z, pieces);
-            }
-            x = node(m.table, 0, x, fa);
-            y = node(m.table, 1, y, fr);
-            z = node(m.table, 2, z, ft);
-            weight = select(above, weight * m.specular_gain, 0.0f);
-            fma(fma(x, V(m.table.nodes[1]), y), V(m.table.nodes[2]), z).store_int(cells.first + i);
-            const V gain = weight * strength;
-            const V high = gain * fa, low = gain * (V(1.0f) - fa), rest = V(1.0f) - fr;
-            (low * rest).store(cells.weight[0] + i);
-            (low * fr).store(cells.weight[1] + i);
-            (high * rest).store(cells.weight[2] + i);
-            (high * fr).store(cells.weight[3] + i);
-            (V(1.0f) - ft).store(cells.near + i);
-            ft.store(cells.far + i);
-            lit[g] = lanes & ~bits(both(weight <= 0.0f, V(0.0f) <= weight));
-            if (m.table.large) prefetch(g);
-        }
-        if (!m.has_diffuse) return;
-        const V share = select(above, V(m.diffuse_gain) - weight, 0.0f);
-        has_body[g] = bits(both(share <= 0.0f, V(0.0f) <= share)) != all_lanes(share);
-        if (!has_body[g]) return;
-        const IncidenceTerm<V> incidence(select(above, half.a, 0.0f));
-        for (int c = 0; c < 3; ++c) {
-            const V d = incidence.power(m.exponent[c]) * (cos_r * m.scale[c]);
-            (share * strength * d).store(body[c] + i);
-        }
+        const Place<V> place(table, {table, normal, light, view, cos_i, cos_r, lanes});
+        place.first(table).store_int(cells.first + i);
+        const V gain = select(above, strength, 0.0f), high = gain * place.fraction[0];
+        const V low = gain - high, right = place.fraction[1], left = V(1.0f) - right;
+        (low * left).store(cells.weight[0] + i);
+        (low * right).store(cells.weight[1] + i);
+        (high * left).store(cells.weight[2] + i);
+        (high * right).store(cells.weight[3] + i);
+        (V(1.0f) - place.fraction[2]).store(cells.near + i);
+        place.fraction[2].store(cells.far + i);
+        lit[g] = lanes;
+        if (table.large) prefetch(g);
     }
 
     // A large table lies in far caches: ask for its lines before they are needed.
     void prefetch(int g) {
-        const Table& table = scene.model.table;
+        const Table& table = scene.table;
         for (int i = g * V::lanes; i < (g + 1) * V::lanes; ++i) {
             const float* p = table.values + 3L * cells.first[i];
             ask_for(p);
@@ -170,14 +141,9 @@ struct Tile {
         }
     }
 
-    void nothing_in(int g) {
-        lit[g] = 0;
-        has_body[g] = false;
-    }
-
     // The table at every pixel that reads it. Where most lanes do, reading all is cheaper than asking.
     void read_table() {
-        const Table table = scene.model.table;
+        const Table table = scene.table;
         const V any = 0.0f;
         for (int g = 0; g < groups; ++g) {
             const int i = g * V::lanes;
@@ -191,15 +157,13 @@ struct Tile {
         }
     }
 
-    // The three channels of one vector of pixels, from the table and the diffuse part.
+    // The three channels of one vector of pixels.
     void collect(int g, V out[3]) {
         planes(rgb + 4 * g * V::lanes, out[0], out[1], out[2]);
         if (lit[g] != all_lanes(out[0])) {
             const auto kept = lanes_in(lit[g], out[0]);
             for (int c = 0; c < 3; ++c) out[c] = select(kept, out[c], 0.0f);
         }
-        if (has_body[g])
-            for (int c = 0; c < 3; ++c) out[c] = out[c] + V::load(body[c] + g * V::lanes);
     }
 
     float* pixel(int channel) const {
@@ -249,7 +213,7 @@ struct Tile {
         planes_of(scene.light, 1, lights);
         planes_of(scene.view, 2, views);
         for (int g = 0; g < groups; ++g) {
-            nothing_in(g);
+            lit[g] = 0;
             const int i = g * V::lanes;
             const Vector3<V> normal = unit(load(normals, i)), light = unit(load(lights, i));
             const V cos_i = dot(normal, light);
@@ -369,7 +333,7 @@ struct Tile {
         const float* positions[3];
         if (light.kind != directional) planes_of(scene.position, 3, positions);
         for (int g = 0; g < groups; ++g) {
-            nothing_in(g);
+            lit[g] = 0;
             if (seen[g] == 0) continue;
             const int i = g * V::lanes;
             const float *normals[3] = {n[0], n[1], n[2]}, *views[3] = {v[0], v[1], v[2]};
@@ -388,7 +352,7 @@ struct Tile {
         }
         read_table();
         for (int g = 0; g < groups; ++g) {
-            if (lit[g] == 0 && !has_body[g]) continue;
+            if (lit[g] == 0) continue;
             V out[3];
             collect(g, out);
             for (int c = 0; c < 3; ++c) {
@@ -428,7 +392,7 @@ struct Tile {
         const float* f = scene.sphere.frame;
         const float last = static_cast<float>(scene.sphere.side - 1);
         for (int g = 0; g < groups; ++g) {
-            nothing_in(g);
+            lit[g] = 0;
             const int i = g * V::lanes;
             const Vector3<V> normal = unit(load(normals, i));
             const V z = dot(normal, Vector3<V>{f[6], f[7], f[8]});

@@ -48,42 +48,9 @@ inline Avx2 magnitude(Avx2 a) { return _mm256_andnot_ps(_mm256_set1_ps(-0.0f), a
 inline Avx2 least(Avx2 a, Avx2 b) { return _mm256_min_ps(a.x, b.x); }     // b where a is NaN
 inline Avx2 greatest(Avx2 a, Avx2 b) { return _mm256_max_ps(a.x, b.x); }  // b where a is NaN
 inline Avx2 floor_of(Avx2 a) { return _mm256_floor_ps(a.x); }
-inline Avx2 nearest(Avx2 a) {
-    return _mm256_round_ps(a.x, _MM_FROUND_TO_NEAREST_INT | _MM_FROUND_NO_EXC);
-}
 inline Avx2 select(Avx2::Mask m, Avx2 a, Avx2 b) { return _mm256_blendv_ps(b.x, a.x, m.x); }
 inline Avx2 negated_where(Avx2::Mask m, Avx2 a) {
     return _mm256_xor_ps(a.x, _mm256_and_ps(m.x, _mm256_set1_ps(-0.0f)));
-}
-
-// p[i] for whole i, of a few blocks of numbers: they pass through registers, a gather is slower.
-inline Avx2 lookup(const float* p, int blocks, Avx2 i) {
-    const __m256i at = _mm256_cvttps_epi32(i.x);
-    __m256 found = _mm256_permutevar8x32_ps(_mm256_loadu_ps(p), at);  // by the index modulo 8
-    for (int first = 8; first < blocks * block_cells; first += 8) {
-        const __m256i here = _mm256_cmpgt_epi32(at, _mm256_set1_epi32(first - 1));
-        const __m256 next = _mm256_permutevar8x32_ps(_mm256_loadu_ps(p + first), at);
-        found = _mm256_blendv_ps(found, next, _mm256_castsi256_ps(here));
-    }
-    return found;
-}
-
-// x = m 2^e with m in [0.75, 1.5), for normal x > 0.
-inline Avx2 split(Avx2 x, Avx2& e) {
-    const __m256i raw = _mm256_castps_si256(x.x);
-    // adding a quarter carries mantissas from 1.5 on into the exponent
-    const __m256i up = _mm256_add_epi32(raw, _mm256_set1_epi32(0x400000));
-    const __m256i exponent = _mm256_sub_epi32(_mm256_srli_epi32(up, 23), _mm256_set1_epi32(127));
-    e = _mm256_cvtepi32_ps(exponent);
-    return _mm256_castsi256_ps(_mm256_sub_epi32(raw, _mm256_slli_epi32(exponent, 23)));
-}
-
-// x 2^n for whole n; 0 where that is too small.
-inline Avx2 scaled(Avx2 x, Avx2 n) {
-    const Avx2 kept = least(greatest(n, -126.0f), 127.0f);
-    const __m256i power = _mm256_slli_epi32(
-        _mm256_add_epi32(_mm256_cvtps_epi32(kept.x), _mm256_set1_epi32(127)), 23);
-    return select(n < -126.0f, Avx2(0.0f), x * Avx2(_mm256_castsi256_ps(power)));
 }
 
 // 8 pixels of (r, g, b, ·) → three planes.

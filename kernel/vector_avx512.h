@@ -40,35 +40,10 @@ inline Avx512 magnitude(Avx512 a) { return _mm512_abs_ps(a.x); }
 inline Avx512 least(Avx512 a, Avx512 b) { return _mm512_min_ps(a.x, b.x); }     // b where a is NaN
 inline Avx512 greatest(Avx512 a, Avx512 b) { return _mm512_max_ps(a.x, b.x); }  // b where a is NaN
 inline Avx512 floor_of(Avx512 a) { return _mm512_roundscale_ps(a.x, _MM_FROUND_TO_NEG_INF); }
-inline Avx512 nearest(Avx512 a) { return _mm512_roundscale_ps(a.x, _MM_FROUND_TO_NEAREST_INT); }
 inline Avx512 select(__mmask16 m, Avx512 a, Avx512 b) { return _mm512_mask_blend_ps(m, b.x, a.x); }
 inline Avx512 negated_where(__mmask16 m, Avx512 a) {
     return _mm512_mask_xor_ps(a.x, m, a.x, _mm512_set1_ps(-0.0f));
 }
-
-// p[i] for whole i, of a few blocks of numbers: they pass through registers, a gather is slower.
-inline Avx512 lookup(const float* p, int blocks, Avx512 i) {
-    const __m512i at = _mm512_cvttps_epi32(i.x);
-    __m512 found = _mm512_permutex2var_ps(_mm512_loadu_ps(p), at, _mm512_loadu_ps(p + 16));
-    for (int first = block_cells; first < blocks * block_cells; first += block_cells) {
-        const __mmask16 here = _mm512_cmpge_epi32_mask(at, _mm512_set1_epi32(first));
-        const __m512 low = _mm512_loadu_ps(p + first), high = _mm512_loadu_ps(p + first + 16);
-        found = _mm512_mask_blend_ps(here, found, _mm512_permutex2var_ps(low, at, high));
-    }
-    return found;
-}
-
-// x = m 2^e with m in [0.75, 1.5), for normal x > 0.
-inline Avx512 split(Avx512 x, Avx512& e) {
-    const __m512 m = _mm512_getmant_ps(x.x, _MM_MANT_NORM_p75_1p5, _MM_MANT_SIGN_zero);
-    const __m512 exponent = _mm512_getexp_ps(x.x);
-    const __mmask16 halved = _mm512_cmp_ps_mask(m, _mm512_set1_ps(1.0f), _CMP_LT_OQ);
-    e = _mm512_mask_add_ps(exponent, halved, exponent, _mm512_set1_ps(1.0f));
-    return m;
-}
-
-// x 2^n for whole n; 0 where that is too small.
-inline Avx512 scaled(Avx512 x, Avx512 n) { return _mm512_scalef_ps(x.x, n.x); }
 
 // 16 pixels of (r, g, b, ·) → three planes.
 inline void planes(const float* rgb, Avx512& r, Avx512& g, Avx512& b) {

@@ -72,36 +72,8 @@ inline Portable magnitude(P a) { return lanewise([&](int i) { return std::fabs(a
 inline Portable least(P a, P b) { return lanewise([&](int i) { return a.x[i] < b.x[i] ? a.x[i] : b.x[i]; }); }
 inline Portable greatest(P a, P b) { return lanewise([&](int i) { return a.x[i] > b.x[i] ? a.x[i] : b.x[i]; }); }
 inline Portable floor_of(P a) { return lanewise([&](int i) { return std::floor(a.x[i]); }); }
-inline Portable nearest(P a) { return lanewise([&](int i) { return std::nearbyint(a.x[i]); }); }
 inline Portable select(PM m, P a, P b) { return lanewise([&](int i) { return m.x[i] ? a.x[i] : b.x[i]; }); }
 inline Portable negated_where(PM m, P a) { return lanewise([&](int i) { return m.x[i] ? -a.x[i] : a.x[i]; }); }
-
-// p[i] for whole i, of a few blocks of numbers.
-inline Portable lookup(const float* p, int, P i) {
-    return lanewise([&](int k) { return p[static_cast<int>(i.x[k])]; });
-}
-
-// x = m 2^e with m in [0.75, 1.5), for normal x > 0.
-inline Portable split(P x, Portable& e) {
-    return lanewise([&](int i) {
-        std::int32_t raw;
-        std::memcpy(&raw, &x.x[i], sizeof raw);
-        // adding a quarter carries mantissas from 1.5 on into the exponent
-        const std::int32_t exponent = ((raw + 0x400000) >> 23) - 127;
-        e.x[i] = static_cast<float>(exponent);
-        raw -= static_cast<std::int32_t>(static_cast<std::uint32_t>(exponent) << 23);
-        float m;
-        std::memcpy(&m, &raw, sizeof m);
-        return m;
-    });
-}
-
-// x 2^n for whole n; 0 where that is too small.
-inline Portable scaled(P x, P n) {
-    return lanewise([&](int i) {
-        return n.x[i] < -126.0f ? 0.0f : std::ldexp(x.x[i], static_cast<int>(n.x[i]));
-    });
-}
 
 // 8 pixels of (r, g, b, ·) → three planes.
 inline void planes(const float* rgb, Portable& r, Portable& g, Portable& b) {

@@ -74,8 +74,8 @@ def angles_from_unit_vectors(n: Tensor, l: Tensor, v: Tensor) -> tuple[Tensor, T
     n_l, n_v = dot(n, l), dot(n, v)
     facing = torch.where(dot(l, v) < 0, -torch.ones_like(n_l), torch.ones_like(n_l))
     d = v - facing * l  # the short diagonal: exact where L and V almost agree, or almost oppose
-    p_s = _cross(l, d)  # p times s
-    s = _length(p_s)
+    p_s = cross(l, d)  # p times s
+    s = length(p_s)
     apart = s > 4 * eps
     s_safe = torch.where(apart, s, torch.ones_like(s))
     # The part of N along the unit vector in the plane of L and V that is across L (towards V),
@@ -88,7 +88,7 @@ def angles_from_unit_vectors(n: Tensor, l: Tensor, v: Tensor) -> tuple[Tensor, T
     t = _twice_atan(dot(n, p_s) / s_safe, 1 + h)
     flip = torch.where(a < 0, -torch.ones_like(a), torch.ones_like(a))
 
-    theta = _twice_atan(_length(_cross(n, l)), 1 + n_l)
+    theta = _twice_atan(length(cross(n, l)), 1 + n_l)
     back = torch.where(facing > 0, torch.zeros_like(n_l), torch.full_like(n_l, torch.pi))
     return (
         torch.where(apart, a * flip, theta),
@@ -210,12 +210,12 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     return (a * b).sum(XYZ_DIM, keepdim=True)
 
 
-def _cross(a: Tensor, b: Tensor) -> Tensor:
+def cross(a: Tensor, b: Tensor) -> Tensor:
     a, b = torch.broadcast_tensors(a, b)
     return torch.linalg.cross(a, b, dim=XYZ_DIM)
 
 
-def _length(v: Tensor) -> Tensor:
+def length(v: Tensor) -> Tensor:
     """|v|, with gradient 0 instead of NaN at 0."""
     square = dot(v, v)
     positive = square > 0

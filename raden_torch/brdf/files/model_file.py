@@ -11,8 +11,10 @@ from typing import Any
 
 import torch
 
+from raden_torch.brdf.model.layout_choice import choose_layout
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
+from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError, check_type
 from raden_torch.files import check_output, check_seekable, written_beside
 
@@ -34,6 +36,7 @@ class _About:
     first_deg: tuple[float, float, float] | None = None
     step_deg: tuple[float, float, float] | None = None
     pieces: Pieces | None = None
+    runtime: RuntimeLayout | None = None
 
 
 def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
@@ -68,6 +71,7 @@ def describe(model: RadenBrdf) -> dict[str, Any]:
         "colour": COLOUR,
         "diffuse_gain": model.diffuse_gain,
         "specular_gain": model.specular_gain,
+        "runtime": asdict(model.layout),
         "provenance": asdict(model.provenance),
     }
     if model.table is not None:
@@ -164,10 +168,12 @@ def assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenBr
         table = ReflectanceTable(
             tensors["table.values"], said.first_deg, said.step_deg, said.pieces
         )
-    return RadenBrdf(
+    model = RadenBrdf(
         diffuse,
         table,
         diffuse_gain=said.diffuse_gain,
         specular_gain=said.specular_gain,
         provenance=said.provenance,
     )
+    model.layout = said.runtime or choose_layout(model)  # older files have none
+    return model

@@ -13,6 +13,7 @@ from raden_torch.brdf.fitting.diffuse_fit import FITS, DiffuseParameters, fit_di
 from raden_torch.brdf.fitting.fit_report import BY_HAND, FitReport, make_report
 from raden_torch.brdf.fitting.interpolated_table import choose_interpolation, make_table
 from raden_torch.brdf.fitting.tabulate import MAX_CELLS, Tabulated, tabulate
+from raden_torch.brdf.model.layout_choice import choose_layout
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.errors import InputError, check_type
 from raden_torch.measurement import BrdfMeasurement
@@ -97,6 +98,7 @@ def fit(
     chosen = choose_interpolation(table, total, interpolation, validation)
     model = RadenBrdf(part, make_table(table, total, chosen.scheme, outside))
     fitted_to = diffuse if isinstance(diffuse, str) else BY_HAND
+    model.layout = choose_layout(model)
     report = make_report(
         measurement, table, model, parameters, chosen, diffuse_fit=fitted_to, outside=outside
     )

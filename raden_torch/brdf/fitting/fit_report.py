@@ -12,6 +12,7 @@ from raden_torch.brdf.fitting.diffuse_fit import FITS, RIDGE_DEG, DiffuseParamet
 from raden_torch.brdf.fitting.hemisphere import Shares, directional_albedo, shares
 from raden_torch.brdf.fitting.interpolated_table import Choice
 from raden_torch.brdf.fitting.tabulate import Tabulated
+from raden_torch.brdf.model.layout_choice import BakeError, bake_errors
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.readings import WHITE_LEVEL
@@ -28,6 +29,13 @@ FITTED_TO = {
     "surface": f"the surface of the readings over {RIDGE_DEG:g} deg off the mirror direction",
     BY_HAND: "set by hand",
 }
+_SAMPLED = {
+    "box": "in all angles to 70 deg",
+    "hemisphere": "over the hemisphere",
+    "highlight": "near the mirror",
+}
+_COARSE = 0.05
+"""Of the highlight's peak: an RMS of the runtime table above this is warned of."""
 _DARK = 1.5
 """A measurement with no reading above this may be in another unit."""
 
@@ -58,6 +66,8 @@ class FitReport:
         box_deg: first and last incidence, receiving and tilt that were measured, or derived.
         outside: what stands there: "continued" or "diffuse".
         albedo: directional albedo by incidence in degrees, in its highest channel.
+        runtime_nodes, runtime_errors: the runtime table, and how far it is from the fit form
+            (`layout_choice.bake_errors`).
         warnings: one sentence each.
     """
 
@@ -85,6 +95,8 @@ class FitReport:
     outside: str = "diffuse"
     diffuse_fit: str = "floor"
     albedo: dict[float, float] = field(default_factory=dict)
+    runtime_nodes: tuple[int, ...] = ()
+    runtime_errors: dict[str, BakeError] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
@@ -124,6 +136,12 @@ class FitReport:
             f"between the nodes: {self.interpolation}, {self.interpolation_why}"
             + (f" (loss: {compared})" if compared else "")
         )
+        if self.runtime_nodes:
+            errors = ", ".join(f"{_SAMPLED[k]} {_apart(e)}" for k, e in self.runtime_errors.items())
+            lines.append(
+                f"runtime table: {' x '.join(map(str, self.runtime_nodes))} nodes; RMS over the "
+                f"99.9 % quantile and mean |Δ log(1+Y)| from the fit: {errors}"
+            )
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
 
 
@@ -140,7 +158,7 @@ def make_report(
     """Compare the model with the readings and say where its table comes from."""
     with torch.no_grad():
         at = [torch.from_numpy(angle)[None, :, None] for angle in table.reading_angles]
-        whole = model.at_angles(*at)[:, :, 0].numpy().T
+        whole = model.fit_form(*at)[:, :, 0].numpy().T
         diffuse_only = model.diffuse(*at)[:, :, 0].numpy().T if model.diffuse else 0 * whole
     truth = table.readings
     error = (whole - truth).mean(axis=1)
@@ -148,6 +166,7 @@ def make_report(
     read = np.where(table.measured, table.before_averaging.mean(axis=-1), np.nan)
     reciprocity = reciprocity_error(table.grid, read)
     albedo = directional_albedo(model)
+    errors = bake_errors(model)
     return FitReport(
         cells=int(table.measured.size),
         scattered=table.scattered is not None,
@@ -173,11 +192,14 @@ def make_report(
         outside=outside,
         diffuse_fit=diffuse_fit,
         albedo=albedo,
+        runtime_nodes=model.layout.shape,
+        runtime_errors=errors,
         warnings=(
             *table.warnings,
             *_exponent_warning(parameters, diffuse_fit),
             *_warnings(measurement, table),
             *_albedo_warning(albedo),
+            *_runtime_warning(errors),
         ),
     )
 
@@ -235,6 +257,20 @@ def _albedo_warning(albedo: dict[float, float]) -> tuple[str, ...]:
         "leaves than arrives; the measurement's scale is too high, or so is what stands beside "
         "the measured angles",
     )
+
+
+def _runtime_warning(errors: dict[str, BakeError]) -> tuple[str, ...]:
+    worst = max(errors.values(), key=lambda error: error.rms)
+    if worst.rms <= _COARSE:
+        return ()
+    return (
+        f"the runtime table's nodes are too coarse for this sample's highlight: it is read "
+        f"{_percent(worst.rms)} of its peak off (RMS)",
+    )
+
+
+def _apart(error: BakeError) -> str:
+    return f"{error.rms:.2g}; {error.log_error:.2g}"
 
 
 def _percent(share: float) -> str:

@@ -71,6 +71,13 @@ def reflectance_factors(model: RadenBrdf, readings: BrdfMeasurement) -> NDArray[
     return f.numpy().T * FACTOR_PER_SR
 
 
+def fit_form_factors(model: RadenBrdf, readings: BrdfMeasurement) -> NDArray[np.float64]:
+    """`reflectance_factors` of the model's fit form: exact at the measured nodes."""
+    with torch.no_grad():
+        f = model.fit_form(*angle_maps(readings))[:, :, 0]
+    return f.numpy().T * FACTOR_PER_SR
+
+
 def angle_maps(readings: BrdfMeasurement) -> tuple[Tensor, Tensor, Tensor]:
     """Incidence, receiving and tilt of readings as maps `[1, M, 1]`, in radians and float64."""
     columns = (readings.incidence_deg, readings.receiving_deg, readings.tilt_deg)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -13,6 +14,8 @@ from raden_torch import geometry
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.diffuse import diffuse
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
+from raden_torch.brdf.model.runtime_bake import bake
+from raden_torch.brdf.model.runtime_table import RuntimeLayout, address_of_angles, read, read_at
 from raden_torch.errors import InputError, check_type
 
 
@@ -48,8 +51,18 @@ class Provenance:
     fit: dict[str, Any] = field(default_factory=dict)
 
 
+DEFAULT_LAYOUT = RuntimeLayout((32, 69, 67), (0.4, 0.4))
+"""Of a model that says no other; `fit` chooses one for what it has fitted."""
+
+_baked: WeakKeyDictionary[RadenBrdf, tuple[tuple[Any, ...], Tensor]] = WeakKeyDictionary()
+
+
 class RadenBrdf(nn.Module):
     """A reflection model: a diffuse formula and a table of what was measured.
+
+    This is the *fit form*, eq. (2), which `fit_form` evaluates and which may be edited. Everything
+    else reads the *runtime form*, which is baked from it as needed: one table over the whole
+    hemisphere (`runtime_table`). How far the two are apart is in the fit's report.
 
     The specular part is what the table holds beyond the diffuse part, spec = w (table − diffuse),
     with the table's weight w: 1 in the table, fading to 0 beyond. It is negative where the formula
@@ -62,6 +75,7 @@ class RadenBrdf(nn.Module):
 
     Attributes:
         diffuse_gain, specular_gain: I_d and I_s of eq. (2), finite numbers that may be set.
+        layout: the nodes of the runtime table.
         provenance: what the model was fitted to.
 
     Examples:
@@ -86,9 +100,11 @@ class RadenBrdf(nn.Module):
         *,
         diffuse_gain: float | Tensor = 1.0,
         specular_gain: float | Tensor = 1.0,
+        layout: RuntimeLayout = DEFAULT_LAYOUT,
         provenance: Provenance | None = None,
     ) -> None:
         super().__init__()
+        self.layout = layout
         self.diffuse = diffuse
         self.table = table
         self.diffuse_gain = diffuse_gain
@@ -117,53 +133,67 @@ class RadenBrdf(nn.Module):
         """
         geometry.check_vector_maps(normal=normal, light=light, view=view)
         self.check_device(normal)
-        if kernel.takes(self, normal, light, view):
-            return kernel.brdf(self, normal, light, view)
-        dtype = self.working_dtype(normal, light, view)
-        vectors = (geometry.normalised(m.to(dtype)) for m in (normal, light, view))
-        return self.of_unit_vectors(*vectors)
+        if not kernel.takes(self, normal, light, view):
+            dtype = self.working_dtype(normal, light, view)
+            normal, light, view = (geometry.normalised(m.to(dtype)) for m in (normal, light, view))
+        return self.of_unit_vectors(normal, light, view)
 
-    def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
-        """`forward` of vectors that are unit, or zero where invalid, and of one dtype."""
+    def of_unit_vectors(
+        self,
+        n: Tensor,
+        l: Tensor,  # noqa: E741
+        v: Tensor,
+        table: Tensor | None = None,
+    ) -> Tensor:
+        """`forward` of vectors that are unit, or zero where invalid, and of one dtype.
+
+        Args:
+            table: what `runtime_table` gave, where many calls share one.
+        """
+        table = self.runtime_table() if table is None else table
         if kernel.takes(self, n, l, v):
-            return kernel.brdf(self, n, l, v)
-        above = (geometry.dot(n, l) > 0) & (geometry.dot(n, v) > 0)
-        f = self.at_angles(*geometry.angles_from_unit_vectors(n, l, v))
-        return torch.where(above, f, torch.zeros_like(f))
+            return kernel.brdf(table, self.layout.warp, n, l, v)
+        return read(table.to(n.dtype), self.layout.warp, n, l, v)
+
+    def runtime_table(self) -> Tensor:
+        """`[U, V, W, 3]` f_r in 1/sr: the runtime form that `forward` reads, by `layout`.
+
+        It is made anew where the table, the diffuse parameters or the gains have changed since.
+        Change them in place under `torch.no_grad()`; a change through `.data` is not seen.
+        """
+        if torch.compiler.is_compiling() or kernel.asks_for_gradient(self):
+            return bake(self, self.layout)
+        state = _state(self)
+        known = _baked.get(self)
+        if known is None or known[0] != state:
+            with torch.no_grad():
+                known = _baked[self] = (state, bake(self, self.layout))
+        return known[1]
 
     def at_angles(self, incidence: Tensor, receiving: Tensor, tilt: Tensor) -> Tensor:
-        """f_r by angles, `[..., 1, H, W]` in radians each → `[..., 3, H, W]` in 1/sr.
+        """`forward` by angles, `[..., 1, H, W]` in radians each → `[..., 3, H, W]` in 1/sr.
 
         Nothing is cut at the horizon here: the caller knows the geometry.
         """
+        angles = torch.broadcast_tensors(incidence, receiving, tilt)
+        values = self.runtime_table().to(angles[0].dtype)
+        return read_at(values, *address_of_angles(self.layout.warp, *angles))
+
+    def fit_form(self, incidence: Tensor, receiving: Tensor, tilt: Tensor) -> Tensor:
+        """`at_angles` by eq. (2) itself instead of the runtime table: the reference, and slower."""
         angles = torch.broadcast_tensors(incidence, receiving, tilt)
         shape = list(angles[0].shape)
         shape[geometry.XYZ_DIM] = 3
         diffuse = angles[0].new_zeros(shape) if self.diffuse is None else self.diffuse(*angles)
         f = self.diffuse_gain * diffuse
-        # a gain that is a tensor (an input of an exported graph) cannot decide what is computed
-        specular = isinstance(self.specular_gain, Tensor) or self.specular_gain != 0
-        if self.table is not None and specular:
+        if self.table is not None and self.specular_gain != 0:
             total, weight = self.table(*angles)
             f = f + self.specular_gain * weight * (total - diffuse)
         return f
 
     def upper_bound(self) -> Tensor:
-        """`[3]`: what |f_r| of each channel cannot exceed in any geometry, in 1/sr.
-
-        With 0 ≤ w ≤ 1 and the diffuse part within 0…S, eq. (2) lies within
-        |I_s| max|table| + max(|I_d|, |I_d − I_s|) S.
-        """
-        like = next(self.parameters(), torch.zeros((), device="cpu"))
-        specular, body = (
-            torch.as_tensor(g, device=like.device) for g in (self.specular_gain, self.diffuse_gain)
-        )
-        share = body.abs()
-        bound = torch.zeros(3, device=like.device)
-        if self.table is not None:
-            bound = specular.abs() * self.table.values.detach().abs().amax((0, 1, 2))
-            share = torch.maximum(share, (body - specular).abs())
-        return bound if self.diffuse is None else bound + share * self.diffuse.scale.detach().abs()
+        """`[3]`: what |f_r| of each channel cannot exceed in any geometry, in 1/sr."""
+        return self.runtime_table().detach().abs().amax((0, 1, 2))
 
     @property
     def measured_box_deg(self) -> tuple[tuple[float, float], ...]:
@@ -194,6 +224,19 @@ class RadenBrdf(nn.Module):
             f"{kind}{self.provenance.sample!r}, diffuse_gain={self.diffuse_gain}, "
             f"specular_gain={self.specular_gain}"
         )
+
+
+def _state(model: RadenBrdf) -> tuple[Any, ...]:
+    """What differs whenever the runtime table has to."""
+    return (
+        model.layout,
+        *(
+            (id(x), x.data_ptr(), -1 if x.is_inference() else x._version, x.device, x.dtype)
+            if isinstance(x, Tensor)
+            else x
+            for x in (*model.parameters(), model.diffuse_gain, model.specular_gain)
+        ),
+    )
 
 
 def _gain(name: str, value: float | Tensor) -> float | Tensor:

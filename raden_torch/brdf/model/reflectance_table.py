@@ -10,7 +10,7 @@ Two kinds with one way of reading:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 import torch
@@ -105,6 +105,17 @@ class ReflectanceTable(nn.Module):
             and its weight `[..., 1, H, W]`: 1 inside the box, falling linearly to 0 over one
             measured step outside.
         """
+        positions, weight = self.positions(incidence, receiving, tilt)
+        return trilinear(self.values.to(incidence.dtype), *positions), weight
+
+    def positions(
+        self, incidence: Tensor, receiving: Tensor, tilt: Tensor
+    ) -> tuple[tuple[Tensor, Tensor, Tensor], Tensor]:
+        """Where any angles lie in the table, in nodes along its axes; and the weight of `forward`.
+
+        Args:
+            incidence, receiving, tilt: in radians, of one shape, which all results have.
+        """
         inside, weight = [], torch.ones_like(incidence)
         for angle, first, step, n in zip(
             (incidence, receiving, tilt), self.first_deg, self.step_deg, self.cells, strict=True
@@ -113,11 +124,11 @@ class ReflectanceTable(nn.Module):
             within = x.clamp(0, n)
             weight = weight * (1 - (x - within).abs()).clamp(min=0)
             inside.append(within)
+        a, r, t = inside
         if self.pieces is not None:
-            a, r, t = inside
             across = r - a + self.cells[0]  # in measured cells from the lowest r − a
-            inside = [self._cut(k, x) for k, x in enumerate((a, across, t))]
-        return trilinear(self.values.to(incidence.dtype), *inside), weight
+            a, r, t = (self._cut(k, x) for k, x in enumerate((a, across, t)))
+        return (a, r, t), weight
 
     def _cut(self, axis: int, x: Tensor) -> Tensor:
         """Measured cells → nodes: cell i begins at node `start` and is cut into `n` pieces."""
@@ -156,20 +167,30 @@ def trilinear(table: Tensor, x: Tensor, y: Tensor, z: Tensor) -> Tensor:
     Returns:
         `[..., C, H, W]`.
     """
-    nx, ny, nz, channels = table.shape
+    channels = table.shape[-1]
     rows = table.reshape(-1, channels)
+    total = torch.zeros((), dtype=table.dtype, device=table.device)
+    for index, weight in corners((table.shape[0], table.shape[1], table.shape[2]), x, y, z):
+        cell = rows[index]  # [..., 1, H, W, C]
+        total = total + weight * cell.movedim(-1, XYZ_DIM).squeeze(XYZ_DIM - 1)
+    return total
+
+
+def corners(
+    nodes: tuple[int, int, int], x: Tensor, y: Tensor, z: Tensor
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """The eight nodes around each position of `trilinear`: their places in the table, counted
+    along its last axis first (int32), and their weights."""
     corner, fraction = [], []
-    for position, n in ((x, nx), (y, ny), (z, nz)):
+    for position, n in zip((x, y, z), nodes, strict=True):
         low = position.detach().floor().clamp(0, n - 2)
         corner.append(low.to(torch.int32))
         fraction.append(position - low)
     i, j, k = corner
+    _, ny, nz = nodes
     first = (i * ny + j) * nz + k
-    total = torch.zeros((), dtype=table.dtype, device=table.device)
     for di, dj, dk in product((0, 1), repeat=3):
         weight = torch.ones_like(x)
         for f, d in zip(fraction, (di, dj, dk), strict=True):
             weight = weight * (f if d else 1 - f)
-        cell = rows[first + ((di * ny + dj) * nz + dk)]  # [..., 1, H, W, C]
-        total = total + weight * cell.movedim(-1, XYZ_DIM).squeeze(XYZ_DIM - 1)
-    return total
+        yield first + ((di * ny + dj) * nz + dk), weight

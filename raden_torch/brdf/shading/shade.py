@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from numbers import Real
 from typing import Protocol, cast, get_args
 
@@ -100,12 +101,15 @@ def shade(
     view = geometry.normalised(gbuffer.view_map(normal))
     position = None if gbuffer.position is None else gbuffer.position.to(dtype)
     image = torch.zeros((), dtype=dtype, device=normal.device)
+    f_r = model.of_unit_vectors
+    if type(model) is RadenBrdf:
+        f_r = partial(model.of_unit_vectors, table=model.runtime_table())
     for light in lights:
         to_light, irradiance = light.at(position, normal)
         geometry.check_vector_maps(normal=normal, light=to_light, view=view)
         direction = geometry.normalised(to_light)
         cosine = geometry.dot(normal, direction).clamp(min=0)
-        f = model.of_unit_vectors(normal, direction, view)
+        f = f_r(normal, direction, view)
         image = image + f * (irradiance * cosine)
     image = image.expand(torch.broadcast_shapes(image.shape, normal.shape, view.shape))
     valid = torch.isfinite(image)

@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 import raden_torch as rt
 from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
-from raden_torch.brdf.fitting.score import reflectance_factors, score
+from raden_torch.brdf.fitting.score import fit_form_factors, score, score_of
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 
@@ -23,7 +23,7 @@ MATERIALS = ["pearl-paint", "color-changing-paint1", "spectralon_rgb"]
 def test_grid_nodes_come_back(analytic) -> None:
     m = analytic()
     result = rt.fit(m, interpolation="trilinear")
-    assert reflectance_factors(result.model, m) == pytest.approx(m.as_rgb().values, rel=2e-7)
+    assert fit_form_factors(result.model, m) == pytest.approx(m.as_rgb().values, rel=2e-7)
     assert result.report.measured == result.report.cells == 12615
     assert result.report.reading_rms < 1e-7
 
@@ -41,7 +41,8 @@ def test_nodes_come_back_through_float32_vectors(shared: Path, name: str) -> Non
     ]
     vectors = [v[None].float() for v in rt.vectors_from_angles(*angles)]
     with torch.no_grad():
-        found = model(*vectors)[0, :, :, 0].T.numpy() * 100 * np.pi
+        read = model.fit_form(*(angle.float() for angle in rt.raden_angles(*vectors)))
+    found = read[0, :, :, 0].T.numpy() * 100 * np.pi
     truth = m.as_rgb().values
     grid = m.as_rgb().grid()
     from scipy.ndimage import maximum_filter
@@ -64,7 +65,8 @@ def test_off_the_grid_no_worse_than_interpolating_the_total(shared: Path, name: 
     folder = shared / "data/measured_brdf"
     m = rt.load_measurement(folder / f"{name}.csv")
     off = rt.load_measurement(folder / f"{name}.offgrid.csv")
-    found = score(rt.fit(m, interpolation="trilinear").model, off)
+    model = rt.fit(m, interpolation="trilinear").model
+    found = score_of(fit_form_factors(model, off), off)
     grid = m.grid()
     points = np.stack([off.incidence_deg, off.receiving_deg, off.tilt_deg], axis=1)
     total = RegularGridInterpolator(grid.axes_deg, grid.values[..., 1])(points)
@@ -200,7 +202,7 @@ def test_bands_without_a_colour_make_a_grey_model(analytic) -> None:
     grey = replace(m, values=m.values[:, 1:2], channels=("650nm",))
     result = rt.fit(grey, interpolation="trilinear")
     assert any("the model is grey" in w for w in result.report.warnings)
-    factors = reflectance_factors(result.model, m)
+    factors = fit_form_factors(result.model, m)
     assert factors == pytest.approx(np.repeat(m.values[:, 1:2], 3, axis=1), rel=1e-6)
 
 

@@ -12,7 +12,7 @@ from scipy.interpolate import Akima1DInterpolator
 
 import raden_torch as rt
 from raden_torch.brdf.fitting.bake import bake
-from raden_torch.brdf.fitting.score import reflectance_factors, score
+from raden_torch.brdf.fitting.score import fit_form_factors, score
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.grid import AngleGrid
@@ -138,7 +138,7 @@ def _table(baked):
 def _read(model: rt.RadenBrdf, points: np.ndarray) -> np.ndarray:
     angles = (torch.from_numpy(np.deg2rad(column))[None, :, None] for column in points.T)
     with torch.no_grad():
-        return model.at_angles(*angles)[:, :, 0].T.numpy()
+        return model.fit_form(*angles)[:, :, 0].T.numpy()
 
 
 BARS = {
@@ -158,9 +158,7 @@ def test_the_default_reaches_its_bars_on_real_materials(shared: Path, name: str)
     rms, log_error = BARS[name]
     assert found.rms <= rms
     assert found.log_error <= log_error
-    assert reflectance_factors(result.model, m) == pytest.approx(
-        m.as_rgb().values, rel=1e-6, abs=1e-4
-    )
+    assert fit_form_factors(result.model, m) == pytest.approx(m.as_rgb().values, rel=1e-6, abs=1e-4)
 
 
 @pytest.mark.parametrize("name", ["yakogai", "abalone", "akoya"])
@@ -242,7 +240,7 @@ def test_lopsided_boxes_are_baked_too(analytic) -> None:
     cut = m.select((m.incidence_deg >= 10) & (m.receiving_deg >= -30) & (m.tilt_deg <= 40))
     model = rt.fit(cut, interpolation="lobes").model
     assert model.table.pieces is not None
-    assert reflectance_factors(model, cut) == pytest.approx(cut.as_rgb().values, rel=1e-5)
+    assert fit_form_factors(model, cut) == pytest.approx(cut.as_rgb().values, rel=1e-5)
     points = random_points(4000)
     inside = (points[:, 0] >= 10) & (points[:, 1] >= -30) & (points[:, 2] <= 40)
     truth = _resampled(m, points[inside])

@@ -333,9 +333,9 @@ def test_a_forked_child_has_threads_of_its_own(tmp_path: Path) -> None:
         "model, up = rt.RadenBrdf(None, t), torch.tensor([0., 0., 1.]).view(1, 3, 1, 1)\n"
         "maps = [up + 0.2 * torch.rand(1, 3, 300, 300) for _ in range(3)]\n"
         "with torch.no_grad():\n"
-        "    first = kernel.brdf(model, *maps)\n"
+        "    first = model(*maps)\n"
         "    child = os.fork()\n"
-        "    same = bool((kernel.brdf(model, *maps).numpy() == first.numpy()).all())\n"
+        "    same = bool((model(*maps).numpy() == first.numpy()).all())\n"
         "if child == 0:\n"
         "    os._exit(0 if same else 1)\n"
         "assert same and os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0\n"
@@ -345,7 +345,7 @@ def test_a_forked_child_has_threads_of_its_own(tmp_path: Path) -> None:
 
 def operator_arguments(model: rt.RadenBrdf, maps: Maps, **flags: bool) -> tuple[object, ...]:
     tensors = tuple(m.clone().requires_grad_(flags.get("gradients", False)) for m in maps)
-    return (*tensors, *kernel._arguments(model))
+    return (*tensors, model.runtime_table(), model.layout.warp)
 
 
 def test_the_operators_are_registered_as_torch_wants_them(model) -> None:
@@ -485,15 +485,22 @@ def test_gradients_of_gradients_take_the_eager_form(model) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
-def test_transforms_and_tensor_gains_take_the_eager_form(model) -> None:
+def test_transforms_take_the_eager_form_and_gains_may_be_tensors(model) -> None:
     maps = image_maps(3, 5)
     frozen = copy.deepcopy(model).requires_grad_(False)
     assert kernel.takes(frozen, *maps)
     f, slope = torch.func.jvp(lambda n: frozen(n, *maps[1:]), (maps[0],), (maps[1],))
     assert f.shape == slope.shape
     frozen.specular_gain = torch.tensor(0.5, requires_grad=True)
-    assert not kernel.takes(frozen, *maps)
-    assert frozen(*maps).requires_grad
+    half = frozen(*maps)
+    (by_gain,) = torch.autograd.grad(half.sum(), frozen.specular_gain)
+    with torch.no_grad():
+        frozen.specular_gain.fill_(1.0)
+        whole = frozen(*maps)
+        frozen.specular_gain = 0.0
+        none = frozen(*maps)
+    torch.testing.assert_close(half, (whole + none) / 2)
+    torch.testing.assert_close(by_gain, (whole - none).sum(), rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.slow

@@ -80,10 +80,10 @@ def test_outside_the_box_only_the_diffuse_part_is_left(model) -> None:
     at = lambda *deg: [torch.tensor(d).deg2rad().view(1, 1, 1).double() for d in deg]  # noqa: E731
     for far in ((85.0, 0.0, 0.0), (20.0, 82.0, 0.0), (20.0, -82.0, 0.0), (20.0, 0.0, 81.0)):
         angles = at(*far)
-        torch.testing.assert_close(model.at_angles(*angles), model.diffuse(*angles))
+        torch.testing.assert_close(model.fit_form(*angles), model.diffuse(*angles))
     edge = at(70.0, 70.0, -70.0)
     torch.testing.assert_close(
-        model.at_angles(*edge).flatten(), model.table.values[-1, -1, 0].double()
+        model.fit_form(*edge).flatten(), model.table.values[-1, -1, 0].double()
     )
 
 
