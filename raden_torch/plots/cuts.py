@@ -194,7 +194,7 @@ def model_factors(model: RadenBrdf, deg: Mapping[str, Floats]) -> Floats:
         for name in ANGLES
     )
     with torch.no_grad():
-        f_r = model.at_angles(*angles)[:, :, 0]
+        f_r = model.fit_form(*angles)[:, :, 0]
     return f_r.T.cpu().numpy().reshape(*shape, 3) * FACTOR_PER_SR
 
 

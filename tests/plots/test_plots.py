@@ -126,7 +126,7 @@ def test_a_model_is_drawn_finely_and_beyond_its_table(ax: Any, model: RadenBrdf)
     np.testing.assert_allclose(x, np.arange(-80, 81))
     at = [torch.deg2rad(torch.tensor([[[v]]], dtype=torch.float64)) for v in (23.0, -31.0, 7.0)]
     with torch.no_grad():
-        f = model.at_angles(*at)[1].item()
+        f = model.fit_form(*at)[1].item()
     assert y[x == -31].item() == pytest.approx(100 * np.pi * f, rel=1e-12)
     assert [text.get_text() for text in ax.texts] == ["outside the table"]
     assert sorted(patch.get_x() for patch in ax.patches) == [-90, 70]

@@ -81,7 +81,7 @@ def test_what_has_no_measured_neighbour_is_left_to_the_diffuse_part(analytic) ->
     assert result.report.from_diffuse == 14 * 29 - 3 * 29  # the plane at 40, less 3 near r = 0
     model = result.model
     angles = [torch.full((1, 1, 1), np.deg2rad(x), dtype=torch.float64) for x in (40, 40, 10)]
-    torch.testing.assert_close(model.at_angles(*angles), model.diffuse(*angles))
+    torch.testing.assert_close(model.fit_form(*angles), model.diffuse(*angles))
     assert any("no measured neighbour" in w for w in result.report.warnings)
 
 

@@ -149,11 +149,12 @@ def _bake(
     dtype = like.dtype if like.dtype == torch.float64 else torch.float32
     # where torch has no sparse matrices, the CPU does it
     device = like.device if like.device.type in ("cpu", "cuda") else torch.device("cpu")
-    f = torch.zeros(layout.nodes, 3, dtype=dtype, device=device)
-    share: Tensor | float = diffuse_gain
+    channels = like.shape[-1]
+    f = torch.zeros(*layout.shape, channels, dtype=dtype, device=device)
+    weight = None
     if table is not None and specular_gain != 0:
         pieces: Any = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None
-        nodes, channels = table.shape[:3], table.shape[3]
+        nodes = table.shape[:3]
         source = _Source(
             (nodes[0], nodes[1], nodes[2]),
             (first_deg[0], first_deg[1], first_deg[2]),
@@ -163,14 +164,23 @@ def _bake(
             str(device),
             dtype,
         )
-        weight = specular_gain * _node_map(source).weight
-        f = weight * _Linear.apply(table.to(device, dtype).reshape(-1, channels), source, False)
-        share = diffuse_gain - weight
-    if scale is not None and exponent is not None and bool(torch.as_tensor(share != 0).any()):
-        a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, device))
-        body = diffuse(a, r, t, scale.to(device).double(), exponent.to(device).double())
-        f = f + share * body[:, :, 0].T.to(dtype)
-    return _balanced(f.reshape(*layout.shape, -1)).to(like.device)
+        rows = table.to(device, dtype).reshape(-1, channels)
+        weight = _node_map(source).weight.reshape(*layout.shape, 1)
+        total = _Linear.apply(rows, source, False).reshape(f.shape)
+        f = specular_gain * _balanced(weight * total)
+    if scale is None or exponent is None:
+        return f.to(like.device)
+    # the two terms are balanced one by one, so that eq. (2) stays linear in its gains
+    whole = weight is not None and bool((weight == 1).all())
+    if whole and not isinstance(specular_gain, Tensor) and diffuse_gain == specular_gain:
+        return f.to(like.device)  # the diffuse part cancels
+    a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, device))
+    part = diffuse(a, r, t, scale.to(device).double(), exponent.to(device).double())
+    body = part[:, :, 0].T.to(dtype).reshape(f.shape)
+    f = f + diffuse_gain * _balanced(body)
+    if weight is not None:
+        f = f - specular_gain * _balanced(body if whole else weight * body)
+    return f.to(like.device)
 
 
 def _balanced(values: Tensor) -> Tensor:

@@ -129,7 +129,7 @@ def test_error_is_at_most_twice_that_of_the_eager_form(
     """Both against float64 on the same single-precision inputs."""
     maps, exact, eagers = eager_errors(region, length)
     kernels = (evaluate(model, maps, level) - exact).abs().flatten()
-    rounding = 1e-7
+    rounding = 3e-7  # of values up to 1, and of their sum
     assert kernels.mean() <= 2 * eagers.mean() + rounding
     for share in (0.9, 0.999):
         assert kernels.quantile(share) <= 2 * eagers.quantile(share) + rounding
