@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from raden_torch.brdf.files.depth_check import warn_of_other_kind
-from raden_torch.brdf.files.exr_layers import Key, Layers
+from raden_torch.brdf.files.exr_layers import Layers
 from raden_torch.brdf.files.normal_axes import NormalAxes
 from raden_torch.brdf.files.normal_check import warn_of_normals
 from raden_torch.brdf.files.normal_coding import Evidence, decoded, has_negative
@@ -38,8 +38,8 @@ from raden_torch.brdf.shading.depth import (
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Triple
 from raden_torch.errors import InputError
-from raden_torch.images.exr import write_channels
-from raden_torch.images.exr_rows import WRITTEN_LINES, ExrRows
+from raden_torch.images.exr import WRITTEN_LINES, write_channels
+from raden_torch.images.exr_file import ExrFile, Key
 
 BYTES_A_PIXEL, BYTES_A_CHANNEL = 240, 10
 """The most that reading, shading and writing some rows takes: that of the eager form. With the
@@ -149,7 +149,7 @@ class GBufferFile:
         self.path, self._camera, self._view, self._smooth_px = path, camera, view, smooth_px
         self._is_declared, self._kind = depth is not None, depth_kind(depth or "planar")
         self._axes = NormalAxes.of(xyz)
-        self._file = ExrRows(path)
+        self._file = ExrFile(path)
         self.size = self._file.size
         self.bands = _bands(self._file, memory)
         layers = Layers.of(self._file, channels)
@@ -189,7 +189,7 @@ class GBufferFile:
         self, intrinsics: Tensor | ArrayLike | None, fov_deg: float | None
     ) -> Tensor | None:
         try:
-            return pinhole_matrix(intrinsics, fov_deg, self.size, self._file.pixel_aspect)
+            return pinhole_matrix(intrinsics, fov_deg, self.size, self._file.first.pixel_aspect)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
 
@@ -300,7 +300,7 @@ def read_colour(
     Args:
         channels: as for `read_gbuffer`, `{"colour": "Layer"}`.
     """
-    file = ExrRows(path)
+    file = ExrFile(path)
     layers = Layers.of(file, channels)
     keys, bare, whole = layers.vector("colour"), layers.bare_vector(), _bands(file, None)
     if keys is None:
@@ -325,20 +325,21 @@ def in_halves(image: Tensor) -> dict[str, NDArray[np.float16]]:
     return dict(zip("RGB", rgb.astype(np.float16), strict=True))
 
 
-def stacked(file: ExrRows, keys: Sequence[Key], top: int, bottom: int) -> Tensor:
+def stacked(file: ExrFile, keys: Sequence[Key], top: int, bottom: int) -> Tensor:
     """`[1, C, rows, W]` of these channels."""
     maps = np.empty((len(keys), bottom - top, file.size[1]), np.float32)
-    for pixels, (part, channel) in zip(maps, keys, strict=True):
-        pixels[:] = file.read(part, channel, top, bottom)
+    found = file.read(keys, top, bottom)
+    for pixels, key in zip(maps, keys, strict=True):
+        pixels[:] = found[key]
     return torch.from_numpy(maps)[None]
 
 
-def evidence(file: ExrRows, keys: Sequence[Key], bands: Sequence[tuple[int, int]]) -> Evidence:
+def evidence(file: ExrFile, keys: Sequence[Key], bands: Sequence[tuple[int, int]]) -> Evidence:
     """Of vectors in the file, over all its bands."""
     return sum((Evidence.of(stacked(file, keys, *band)) for band in bands), Evidence())
 
 
-def _bands(file: ExrRows, memory: int | None) -> list[tuple[int, int]]:
+def _bands(file: ExrFile, memory: int | None) -> list[tuple[int, int]]:
     height, width = file.size
     a_row = width * (BYTES_A_PIXEL + BYTES_A_CHANNEL * len(file.keys))
     if memory is None:

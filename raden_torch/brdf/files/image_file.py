@@ -27,7 +27,7 @@ from raden_torch.images.colour_space import (
     in_srgb,
 )
 from raden_torch.images.exr import write_channels
-from raden_torch.images.exr_rows import ExrRows
+from raden_torch.images.exr_file import ExrFile
 from raden_torch.images.mask import read_mask_pixels
 from raden_torch.images.pixels import (
     OPAQUE_ENOUGH,
@@ -168,7 +168,7 @@ def _exr_photograph(path: str | os.PathLike[str]) -> Photograph:
     from raden_torch.brdf.files.gbuffer_file import read_colour, stacked
 
     colour = read_colour(path)
-    file = ExrRows(path)
+    file = ExrFile(path)
     grey = [(part, name) for _, part, name in file.keys if name == "Y"]
     if colour is None and len(grey) == 1:
         colour = torch.nan_to_num(stacked(file, grey * 3, 0, file.size[0]), posinf=0, neginf=0)
