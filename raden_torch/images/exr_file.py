@@ -11,11 +11,10 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from itertools import groupby
 from types import ModuleType
 from typing import Any
 
@@ -33,8 +32,8 @@ MAX_VALUES = 2**29
 MAX_SIDE = 2**20
 """The most rows or columns of a file that is read or written by rows."""
 _LARGE, _SPARSE = 1 << 24, 4096  # a larger display window may not be emptier than this
-_STRIP = 1 << 22
-"""Values that are decoded in one call, beside the rows that are returned."""
+_STRIP = 1 << 19
+"""Values that are decoded in one call, which fit a processor's cache."""
 _MAGIC = b"\x76\x2f\x31\x01"
 
 Key = tuple[str, str]
@@ -203,26 +202,35 @@ class ExrFile:
         left, right = max(data.left, display.left), min(data.right, display.right)
         source = slice(left - data.left, right - data.left)
         target = slice(left - display.left, right - display.left)
-        for first, last in _runs(part, names):
+        for together, first, last in _spans(part, names):
+            is_whole = part.channels[part.order[first]] == "uint"
             lines = _STRIP // ((last - first) * data.size[1])
             step = max(lines // part.rows, 1) * part.rows
             begin = data.top + (start - data.top) // step * step
             for strip in range(begin, end, step):
                 upper, lower = max(strip, start), min(strip + step, end)
-                pixels = self._pixels(file, part, first, last, upper, lower)
+                pixels = self._pixels(file, part, first, last, upper, lower, is_whole=is_whole)
                 rows = slice(upper - display.top - top, lower - display.top - top)
                 for channel in range(first, last):
-                    if part.order[channel] in names:
+                    if part.order[channel] in together:
                         found = maps[part.name, part.order[channel]]
                         found[rows, target] = pixels[:, source, channel - first]
         return maps
 
     def _pixels(
-        self, file: Any, part: Part, first: int, last: int, top: int, bottom: int
+        self,
+        file: Any,
+        part: Part,
+        first: int,
+        last: int,
+        top: int,
+        bottom: int,
+        *,
+        is_whole: bool = False,
     ) -> NDArray[Any]:
         """`[bottom - top, W, last - first]` of the data window."""
         oiio = openimageio()
-        kind = oiio.UINT32 if part.channels[part.order[first]] == "uint" else oiio.FLOAT
+        kind = oiio.UINT32 if is_whole else oiio.FLOAT
         data, above = part.data, 0
         if part.tile is None:
             pixels = file.read_scanlines(part.number, 0, top, bottom, 0, first, last, kind)
@@ -383,12 +391,14 @@ def _check_part(path: str | os.PathLike[str], part: Part, at_once: bool) -> None
         )
 
 
-def _runs(part: Part, names: set[str]) -> Iterator[tuple[int, int]]:
-    """First channel and the one after the last of what is decoded together, by OpenImageIO's count:
-    neighbours of a kind, from the first wanted one to the last. (As floats, whole numbers would be
-    shares of 2³² − 1.)"""
-    numbered: Sequence[tuple[int, str]] = list(enumerate(part.order))
-    for _, run in groupby(numbered, key=lambda entry: part.channels[entry[1]] == "uint"):
-        wanted = [number for number, name in run if name in names]
-        if wanted:
-            yield wanted[0], wanted[-1] + 1
+def _spans(part: Part, names: set[str]) -> Iterator[tuple[set[str], int, int]]:
+    """Channels of `names` that are decoded in one call, the first and the one after the last by
+    OpenImageIO's count. What lies between is decoded, too: every call decompresses all channels.
+
+    Whole numbers come by themselves: as floats they would be shares of 2³² − 1.
+    """
+    whole = {name for name in names if part.channels[name] == "uint"}
+    for together in (names - whole, whole):
+        places = [number for number, name in enumerate(part.order) if name in together]
+        if places:
+            yield together, places[0], places[-1] + 1

@@ -63,8 +63,8 @@ def _layers(channels: Mapping[str, str]) -> list[str]:
 
 def _gbuffer(file: ExrFile) -> str:
     """Whether `raden render --gbuffer` finds what it needs."""
-    from raden_torch.brdf.files.exr_layers import Layers
-    from raden_torch.brdf.files.gbuffer_file import evidence
+    from raden_torch.brdf.files.exr_tensors import evidence
+    from raden_torch.images.exr_layers import Layers
 
     try:
         layers = Layers.of(file, None)

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raden_torch as rt
-from raden_torch.brdf.files.gbuffer_file import read_colour, read_gbuffer, write_image
+from raden_torch.brdf.files.exr_tensors import read_colour, write_image
+from raden_torch.brdf.files.gbuffer_file import read_gbuffer
 from raden_torch.brdf.files.normal_coding import Evidence, decoded
 from raden_torch.errors import InputError
 from raden_torch.images import exr_file
