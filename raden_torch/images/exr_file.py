@@ -379,6 +379,13 @@ def _check_part(path: str | os.PathLike[str], part: Part, at_once: bool) -> None
             raise InputError(f"{where}: expected 1…{MAX_SIDE} on each side, got {claims}")
         if at_once and (height < 1 or width < 1 or window.area > MAX_PIXELS):
             raise InputError(f"{where}: expected 1…{MAX_PIXELS} pixels, got {claims}")
+    height, width = part.data.size
+    rows = min(height, part.rows)
+    if rows * width > min(MAX_PIXELS, MAX_VALUES // len(part.channels)):
+        raise InputError(
+            f"{where}: expected rows that are compressed together to have at most {MAX_PIXELS} "
+            f"pixels and {MAX_VALUES} values, got {rows} rows of {width} pixels"
+        )
     if not part.data.overlaps(part.display):
         raise InputError(
             f"{where}: expected a data window that overlaps the display window, got one outside it"

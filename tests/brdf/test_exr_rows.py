@@ -171,6 +171,19 @@ def test_an_enormous_tile_is_refused_before_memory_is_taken(tmp_path, width, hei
             read(path)
 
 
+def test_an_enormous_block_of_rows_is_refused_before_memory_is_taken(tmp_path) -> None:
+    """What is compressed together is decoded together: 256 rows of DWAB."""
+    path = tmp_path / "x.exr"
+    OpenEXR.File([part(compression=OpenEXR.DWAB_COMPRESSION)]).write(str(path))
+    data = path.read_bytes()
+    for name in (b"dataWindow", b"displayWindow"):
+        start = data.index(name + b"\0box2i\0") + len(name) + 7 + 4
+        data = data[:start] + struct.pack("<4i", 0, 0, 2**20 - 1, 79) + data[start + 16 :]
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"compressed together .* got 80 rows of 1048576 pixels"):
+        ExrFile(path)
+
+
 @settings(max_examples=60, deadline=None)
 @given(share=st.floats(0, 1, exclude_max=True))
 @example(share=0.0055)  # within the table of a small file's tiles
