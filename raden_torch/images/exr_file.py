@@ -9,13 +9,10 @@ read.
 from __future__ import annotations
 
 import os
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import cache
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,7 +20,7 @@ from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.files import check_seekable
-from raden_torch.packages import require
+from raden_torch.images.openimageio import error_of, opened, openimageio
 
 MAX_PIXELS = 2**26
 """The largest window that is read or written at once, in pixels (8192 x 8192)."""
@@ -242,7 +239,7 @@ class ExrFile:
                 *(first, last, kind),
             )
         if pixels is None:
-            raise _damaged(self.path, file)
+            raise _damaged(self.path, error_of(file))
         return pixels[above : above + bottom - top]
 
 
@@ -256,64 +253,15 @@ def channel_keys(parts: Mapping[str, Iterable[str]]) -> list[tuple[str, str, str
     return keys
 
 
-@contextmanager
-def readable_name(path: str | os.PathLike[str]) -> Iterator[str]:
-    """The path as OpenImageIO takes it; a name that is no text becomes one of an open file."""
-    name = os.fspath(path)
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        opened = os.open(path, os.O_RDWR if os.access(path, os.W_OK) else os.O_RDONLY)
-        try:
-            yield f"/dev/fd/{opened}"
-        finally:
-            os.close(opened)
-    else:
-        yield name
+def _opened(path: str | os.PathLike[str]) -> AbstractContextManager[Any]:
+    return opened(path, lambda reason: _damaged(path, reason))
 
 
-@cache
-def openimageio() -> ModuleType:
-    """OpenImageIO, set for all of the process."""
-    require("OpenEXR files", "images")
-    import OpenImageIO as oiio
-
-    # by itself it refuses images that are larger than this machine's memory
-    oiio.attribute("limits:imagesize_MB", 0)
-    # threads of its own would be missing after a fork (a DataLoader's), and be waited for
-    oiio.attribute("threads", 1)
-    oiio.attribute("exr_threads", -1)
-    return oiio
-
-
-@contextmanager
-def _opened(path: str | os.PathLike[str]) -> Iterator[Any]:
-    oiio = openimageio()
-    with readable_name(path) as name:
-        file = oiio.ImageInput.open(name)
-        if file is None:
-            raise _damaged(path, oiio)
-        try:
-            yield file
-        finally:
-            file.close()
-
-
-def _damaged(path: str | os.PathLike[str], source: Any) -> InputError:
+def _damaged(path: str | os.PathLike[str], reason: str) -> InputError:
     return InputError(
         f"{path}: truncated or damaged, or of an unknown kind; expected a whole OpenEXR file "
-        f"({error_of(source)})"
+        f"({reason})"
     )
-
-
-def error_of(source: Any) -> str:
-    """The first line of what OpenImageIO, or a file of it, says; the others are for programmers."""
-    try:
-        line = source.geterror().strip().partition("\n")[0]
-    except UnicodeDecodeError:  # it repeats the file's own bytes
-        line = "its header is damaged"
-    found = re.sub(r"^EXR Error \(.*\): (EXR_ERR_\w+ )?", "", line)
-    return "".join(c if c.isprintable() else "?" for c in found) or "pixels are missing"
 
 
 def _check_magic(path: str | os.PathLike[str]) -> None:
@@ -332,7 +280,7 @@ def _check_magic(path: str | os.PathLike[str]) -> None:
 def _parts_of(path: str | os.PathLike[str], file: Any) -> Iterator[Part]:
     for number in range(max(1, file.spec().get_int_attribute("oiio:subimages", 1))):
         if not file.seek_subimage(number, 0):
-            raise _damaged(path, file)
+            raise _damaged(path, error_of(file))
         spec = file.spec()
         name, order = spec.get_string_attribute("oiio:subimagename"), spec.channelnames
         try:
@@ -381,7 +329,7 @@ def _check_part(path: str | os.PathLike[str], part: Part, at_once: bool) -> None
             raise InputError(f"{where}: expected 1…{MAX_PIXELS} pixels, got {claims}")
     height, width = part.data.size
     rows = min(height, part.rows)
-    if rows * width > min(MAX_PIXELS, MAX_VALUES // len(part.channels)):
+    if not at_once and rows * width > min(MAX_PIXELS, MAX_VALUES // len(part.channels)):
         raise InputError(
             f"{where}: expected rows that are compressed together to have at most {MAX_PIXELS} "
             f"pixels and {MAX_VALUES} values, got {rows} rows of {width} pixels"

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raden_torch.errors import InputError
+from raden_torch.images.other_formats import other_format
 from raden_torch.packages import require
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ def _gbuffer(file: ExrFile) -> str:
 
 
 def recognises_image(head: bytes) -> bool:
-    return _IMAGES.match(head) is not None
+    return _IMAGES.match(head) is not None or other_format("", head) is not None
 
 
 def describe_image(path: Path) -> str:
@@ -99,9 +100,12 @@ def describe_image(path: Path) -> str:
 
     said = _said(path)
     width, height = said.pop("size", (0, 0))
-    mode, form = said.pop("mode", ""), said.pop("format", "Radiance HDR")
+    other = other_format(path)
+    mode, form = said.pop("mode", ""), other or said.pop("format", "Radiance HDR")
+    said.pop("format", None)
     try:
-        read_header(path)
+        if other is None:
+            read_header(path)
     except InputError as error:
         if not mode:
             raise
