@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, written_beside
-from raden_torch.images.exr_file import MAX_PIXELS, ExrFile
+from raden_torch.images.exr_file import ExrFile
+from raden_torch.images.exr_header import MAX_PIXELS
 from raden_torch.images.openimageio import error_of, openimageio, readable_name
 
 WRITTEN_LINES = 16
