@@ -217,20 +217,28 @@ def relight_files(
         check_photograph(photo, target)
         before = None if original is None else [_original_lamp(original, path)]
         scene = (loaded, photo.linear, normal, coverage)
-        with torch.no_grad():
-            if layout == "picture":
-                relit = relight(*scene, lights, gain=gain, original=before)
-            else:
-                tiles = relit_under(*scene, lights, gain=gain, original=before)
-                # lamps of another kind were refused: they need positions
-                lamps = cast(Sequence[DirectionalLight], lights)
-                if layout == "strip":
-                    relit = tiled(tiles, len(lamps))
-                else:
-                    relit = _sheet(tiles, coverage, lamps, gain)
+        relit = _relit(scene, lights, layout, gain, before)
         alpha = _alpha_of(photo, path, layout, len(lights))
         write_photograph(replace(photo, linear=relit, alpha=alpha), target, caption_of(loaded))
     return targets
+
+
+def _relit(
+    scene: tuple[RadenBrdf, Tensor, Tensor, Tensor],
+    lights: Sequence[Light],
+    layout: Layout,
+    gain: float | None,
+    original: Sequence[Light] | None,
+) -> Tensor:
+    """`[1, 3, …]`; the scene is a model, a photograph, normals and a mask, as for `relight`."""
+    with torch.no_grad():
+        if layout == "picture":
+            return relight(*scene, lights, gain=gain, original=original)
+        tiles = relit_under(*scene, lights, gain=gain, original=original)
+        if layout == "strip":
+            return tiled(tiles, len(lights))
+        # lamps of another kind were refused: they need positions
+        return _sheet(tiles, scene[3], cast(Sequence[DirectionalLight], lights), gain)
 
 
 def _alpha_of(photo: Photograph, path: Path, layout: Layout, lamps: int) -> Tensor | None:

@@ -23,6 +23,7 @@ _STARTS = {
     b"\0\0\0\x0cJXL ": "JPEG XL",
     b"\xff\x0a": "JPEG XL",
 }
+_TARGA_MAPS, _TARGA_KINDS = (0, 1), (1, 2, 3, 9, 10, 11)
 _CHANNELS = (("Y",), ("Y", "A"), ("R", "G", "B"), ("R", "G", "B", "A"))
 _TYPES = {"uint8": (8, "u"), "uint16": (16, "u"), "half": (32, "f"), "float": (32, "f")}
 _STRAIGHT = ("JPEG 2000", "JPEG XL")
@@ -34,7 +35,8 @@ def other_format(path: str | os.PathLike[str], start: bytes | None = None) -> st
     """The name of one of these formats; None for any other file, or none.
 
     Args:
-        start: the first bytes, where they are known; Targa has none of its own: its suffix counts.
+        start: the first bytes, where they are known. Those of Targa say little: its suffix counts,
+            too.
     """
     if start is None:
         try:
@@ -43,7 +45,10 @@ def other_format(path: str | os.PathLike[str], start: bytes | None = None) -> st
         except OSError:
             return None
     found = next((name for first, name in _STARTS.items() if start.startswith(first)), None)
-    return "Targa" if found is None and Path(path).suffix.lower() == ".tga" else found
+    if found is None and Path(path).suffix.lower() == ".tga":
+        is_targa = len(start) > 2 and start[1] in _TARGA_MAPS and start[2] in _TARGA_KINDS
+        return "Targa" if is_targa else None
+    return found
 
 
 def read_other(path: str | os.PathLike[str], name: str) -> tuple[Header, NDArray[Any]]:

@@ -130,6 +130,14 @@ def test_photographs_masks_and_normals_take_them(tmp_path: Path) -> None:
     np.testing.assert_allclose(alpha[0, 0].numpy(), RGBA[..., 3] / 255, rtol=1e-6)
 
 
+def test_a_png_by_another_name_is_a_png(tmp_path: Path) -> None:
+    for name in ("a.tga", "a.psd", "a.dpx"):
+        Image.fromarray(RGBA).save(tmp_path / name, format="PNG")
+        image = read_image(tmp_path / name)
+        assert image.header.format == "PNG"
+        np.testing.assert_array_equal(image.pixels, RGBA[..., :3])
+
+
 def test_they_are_described(tmp_path: Path) -> None:
     path = by_openimageio(tmp_path / "a.dpx", DEEP, oiio.UINT16)
     assert recognises_image(path.read_bytes()[:64])
