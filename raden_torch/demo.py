@@ -22,6 +22,7 @@ from raden_torch.brdf.files.model_file import save_model
 from raden_torch.brdf.fitting.fit import FitResult, fit
 from raden_torch.brdf.fitting.score import score
 from raden_torch.brdf.shading.lights import DirectionalLight
+from raden_torch.brdf.shading.relight import lamp_ring
 from raden_torch.brdf.shading.shade import shade
 from raden_torch.errors import InputError
 from raden_torch.export.check import ExportReport
@@ -158,8 +159,8 @@ def _relit(result: FitResult, out: Path, size: int) -> Figure:
         out / "mask.png",
         out / "shell.safetensors",
         out / "relit.png",
-        strip=6,
-        elevation_deg=65.0,
+        lamp_ring(6, 65.0),
+        layout="strip",
     )
     return Figure(
         "relit.png",

@@ -8,7 +8,7 @@ from raden_torch.errors import InputError
 
 _IMAGES = {
     "cv2": "opencv-contrib-python-headless",
-    "OpenEXR": "OpenEXR",
+    "OpenImageIO": "OpenImageIO",
     "PIL": "pillow",
 }
 _SPECTRAL = {"colour": "colour-science"}

@@ -8,14 +8,16 @@ from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, cast
 
 import torch
 from torch import Tensor
 
 from raden_torch.artwork.plate import plate, shade_plate
 from raden_torch.brdf.files.display import auto_exposure_ev, to_display, write_picture
-from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer, write_image
+from raden_torch.brdf.files.exr_tensors import write_image
+from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
+from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.image_file import (
     Photograph,
     check_photograph,
@@ -29,7 +31,7 @@ from raden_torch.brdf.files.normal_axes import Green
 from raden_torch.brdf.files.shade_file import shade_file
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
-from raden_torch.brdf.shading.relight import lamp_ring, relight, relit_under, tiled
+from raden_torch.brdf.shading.relight import relight, relit_under, tiled
 from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.brdf.shading.sphere_gbuffer import average_samples, sphere
 from raden_torch.errors import InputError
@@ -52,6 +54,9 @@ SHAPES = {
     ),
 }
 
+
+Layout = Literal["picture", "strip", "sheet"]
+"""Of what `relight_files` writes."""
 
 _MARGIN = 0.06
 """Of the object's size, around it in a sheet."""
@@ -90,18 +95,12 @@ def render_gbuffer(
     model: RadenBrdf,
     path: Path,
     lights: Sequence[Light] | None = None,
+    reading: GBufferReading = USUAL,
     *,
-    channels: dict[str, str] | None = None,
-    fov_deg: float | None = None,
-    smooth_px: float = 0.0,
-    depth: str | None = None,
-    xyz: str = "r,g,b",
     tolerance: float = 0.0,
 ) -> Tensor:
     """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `read_gbuffer` and `shade`."""
-    gbuffer = read_gbuffer(
-        path, channels=channels, fov_deg=fov_deg, smooth_px=smooth_px, depth=depth, xyz=xyz
-    )
+    gbuffer = read_gbuffer(path, **vars(reading))
     lights = lights or SHAPES["sphere"].lights
     with torch.no_grad():
         image = shade(model, gbuffer, lights, tolerance=tolerance)
@@ -114,12 +113,8 @@ def render_gbuffer_file(
     path: Path,
     output: Path,
     lights: Sequence[Light] | None = None,
+    reading: GBufferReading = USUAL,
     *,
-    channels: dict[str, str] | None = None,
-    fov_deg: float | None = None,
-    smooth_px: float = 0.0,
-    depth: str | None = None,
-    xyz: str = "r,g,b",
     exposure_ev: float | None = None,
     tolerance: float = 0.0,
     memory: int | None = None,
@@ -135,15 +130,7 @@ def render_gbuffer_file(
     Returns:
         The exposure in stops: what was asked for, or 0.
     """
-    scene = GBufferFile(
-        path,
-        channels=channels,
-        fov_deg=fov_deg,
-        smooth_px=smooth_px,
-        depth=depth,
-        xyz=xyz,
-        memory=memory,
-    )
+    scene = GBufferFile(path, reading, memory=memory)
     stops = exposure_ev or 0.0
     lamps = lights or SHAPES["sphere"].lights
     shaded = shade_file(model, scene, lamps, output, gain=2.0**stops, tolerance=tolerance)
@@ -188,15 +175,11 @@ def relight_files(
     mask: Path | None,
     model: Path,
     output: Path,
+    lights: Sequence[Light],
     *,
-    lights: Sequence[Light] = (),
-    strip: int | None = None,
-    sheet: int | None = None,
-    elevation_deg: float = 40.0,
+    layout: Layout = "picture",
     green: Green = "opengl",
-    fov_deg: float | None = None,
-    depth: str | None = None,
-    xyz: str = "r,g,b",
+    reading: GBufferReading = USUAL,
     exposure_ev: float | None = None,
     original: Path | tuple[float, float, float] | None = None,
     coded: Literal["srgb", "linear"] = "srgb",
@@ -205,12 +188,11 @@ def relight_files(
 
     Args:
         output: the image to write, or a folder (made where missing) for several photographs.
-        strip: this many lamps in a ring, side by side, instead of `lights`.
-        sheet: this many lamps in a ring, in rows, cut to the mask, each with a dial that shows its
-            lamp; exposed for the relit part where `exposure_ev` is None.
-        elevation_deg: the ring's angle above the picture's plane.
-        green, xyz: as for `read_normal_map`.
-        fov_deg, depth: of an EXR that holds depth instead of normals, as for `read_gbuffer`.
+        lights: directional lights in the normals' frame.
+        layout: one "picture" under all lights; or each light by itself, side by side in a "strip",
+            or in rows of a "sheet", cut to the mask, each with a dial that shows its lamp, exposed
+            for the relit part where `exposure_ev` is None.
+        green, reading: as for `read_normal_map`.
         exposure_ev: stops; where None the masked part keeps its mean luminance.
         original: the direction to the lamp that the photographs were taken under, or the
             normals.json of `raden capture normals`, which knows it by the photograph's name: keeps
@@ -227,7 +209,7 @@ def relight_files(
     known = original if isinstance(original, Path) else None
     check_outputs(*targets, inputs=(*photos, normals, mask, model, known))
     loaded = load_model(model)
-    normal = read_normal_map(normals, green, xyz=xyz, fov_deg=fov_deg, depth=depth)
+    normal = read_normal_map(normals, green, **vars(reading))
     coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
     gain = None if exposure_ev is None else 2.0**exposure_ev
     for path, target in zip(photos, targets, strict=True):
@@ -235,26 +217,36 @@ def relight_files(
         check_photograph(photo, target)
         before = None if original is None else [_original_lamp(original, path)]
         scene = (loaded, photo.linear, normal, coverage)
-        with torch.no_grad():
-            if strip is None and sheet is None:
-                relit = relight(*scene, lights, gain=gain, original=before)
-            else:
-                lamps = lamp_ring(strip or sheet or 0, elevation_deg)
-                tiles = relit_under(*scene, lamps, gain=gain, original=before)
-                relit = tiled(tiles, len(lamps)) if strip else _sheet(tiles, coverage, lamps, gain)
-        alpha = _alpha_of(photo, path, strip=strip, sheet=sheet)
+        relit = _relit(scene, lights, layout, gain, before)
+        alpha = _alpha_of(photo, path, layout, len(lights))
         write_photograph(replace(photo, linear=relit, alpha=alpha), target, caption_of(loaded))
     return targets
 
 
-def _alpha_of(
-    photo: Photograph, path: Path, *, strip: int | None, sheet: int | None
-) -> Tensor | None:
+def _relit(
+    scene: tuple[RadenBrdf, Tensor, Tensor, Tensor],
+    lights: Sequence[Light],
+    layout: Layout,
+    gain: float | None,
+    original: Sequence[Light] | None,
+) -> Tensor:
+    """`[1, 3, …]`; the scene is a model, a photograph, normals and a mask, as for `relight`."""
+    with torch.no_grad():
+        if layout == "picture":
+            return relight(*scene, lights, gain=gain, original=original)
+        tiles = relit_under(*scene, lights, gain=gain, original=original)
+        if layout == "strip":
+            return tiled(tiles, len(lights))
+        # lamps of another kind were refused: they need positions
+        return _sheet(tiles, scene[3], cast(Sequence[DirectionalLight], lights), gain)
+
+
+def _alpha_of(photo: Photograph, path: Path, layout: Layout, lamps: int) -> Tensor | None:
     """The photograph's own, once a lamp in a strip; a contact sheet is opaque."""
-    if photo.alpha is None or (strip is None and sheet is None):
+    if photo.alpha is None or layout == "picture":
         return photo.alpha
-    if strip is not None:
-        return photo.alpha.repeat(1, 1, 1, strip)
+    if layout == "strip":
+        return photo.alpha.repeat(1, 1, 1, lamps)
     if bool((photo.alpha < 1).any()):
         warnings.warn(f"{path}: alpha is left out: a contact sheet is opaque", stacklevel=3)
     return None

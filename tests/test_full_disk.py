@@ -28,8 +28,7 @@ from raden_torch.capture.photo.result_file import write_result
 from raden_torch.capture.photo.simulation import photo_file
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable, written_beside
-from raden_torch.images.exr import write_channels
-from raden_torch.images.exr_rows import rows_written
+from raden_torch.images.exr import rows_written, write_channels
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots import draw, save_plot
 
@@ -102,6 +101,25 @@ def test_a_full_disk_leaves_the_older_file(tmp_path: Path, name: str) -> None:
     assert list(tmp_path.iterdir()) == [path]
     WRITERS[name](path)  # there is room again
     assert path.stat().st_size > FEW_BYTES
+
+
+@pytest.mark.parametrize("missing", [1, 40])
+def test_a_disk_that_is_full_at_the_end(tmp_path: Path, missing: int) -> None:
+    """The last bytes are written when the file is closed."""
+    path = tmp_path / "layers.exr"
+    pixels = np.random.default_rng(0).normal(size=(64, 64))
+    write_channels(path, {"Z": pixels})
+    size = path.stat().st_size
+    path.write_bytes(b"older")
+    with (
+        pytest.raises(InputError, match=r"layers\.exr: .*is the disk full"),
+        full_disk(size - missing),
+    ):
+        write_channels(path, {"Z": pixels})
+    assert path.read_bytes() == b"older"
+    with full_disk(size):
+        write_channels(path, {"Z": pixels})
+    assert path.stat().st_size == size
 
 
 @pytest.mark.parametrize("words", [("merge", "in.csv", "in.csv", "-o"), ("plot", "in.csv", "-o")])

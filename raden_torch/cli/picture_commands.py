@@ -94,6 +94,7 @@ def render(
 ) -> None:
     """Light a shape, or an EXR G-buffer, with a model."""
     from raden_torch.brdf.files.display import PICTURE_SUFFIXES, check_picture_path
+    from raden_torch.brdf.files.gbuffer_reading import GBufferReading
     from raden_torch.pictures import (
         render_gbuffer,
         render_gbuffer_file,
@@ -106,7 +107,13 @@ def render(
     lights = [light_of(text) for text in light or ()]
     eye = None if camera is None else triple("--camera", camera)
     stops, limit = stops_of(exposure), bytes_of(memory)
-    named = dict(pair("--channel", text) for text in channel or ())
+    reading = GBufferReading(
+        channels=dict(pair("--channel", text) for text in channel or ()),
+        fov_deg=fov,
+        smooth_px=smooth,
+        depth=depth,
+        xyz=normal_xyz,
+    )
     if gbuffer is not None and output.suffix.lower() == ".exr":
         from raden_torch.brdf.files.model_file import load_model
 
@@ -116,11 +123,7 @@ def render(
                 gbuffer,
                 output,
                 lights,
-                channels=named,
-                fov_deg=fov,
-                smooth_px=smooth,
-                depth=depth,
-                xyz=normal_xyz,
+                reading,
                 exposure_ev=stops,
                 tolerance=tolerance,
                 memory=limit,
@@ -135,17 +138,7 @@ def render(
         if gbuffer is None:
             image = render_shape(loaded, shape, lights, camera=eye, size=size, samples=samples)
         else:
-            image = render_gbuffer(
-                loaded,
-                gbuffer,
-                lights,
-                channels=named,
-                fov_deg=fov,
-                smooth_px=smooth,
-                depth=depth,
-                xyz=normal_xyz,
-                tolerance=tolerance,
-            )
+            image = render_gbuffer(loaded, gbuffer, lights, reading, tolerance=tolerance)
         used = save_picture(image, output, loaded, exposure_ev=stops)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
 
@@ -207,6 +200,8 @@ def relight(
     ] = "auto",
 ) -> None:
     """Relight the masked part of photographs; the rest of them is kept."""
+    from raden_torch.brdf.files.gbuffer_reading import GBufferReading
+    from raden_torch.brdf.shading.relight import lamp_ring
     from raden_torch.pictures import relight_files
 
     if sum((strip is not None, sheet is not None, bool(light))) > 1:
@@ -216,6 +211,8 @@ def relight(
         is_file = original_light.endswith(".json")
         original = Path(original_light) if is_file else triple("--original-light", original_light)
     photos = without_other_inputs(photos, normals, mask, model)
+    count = strip or sheet
+    lamps = [light_of(text) for text in light or ["1,1,2"]]
     with working("relighting"):
         written = relight_files(
             photos,
@@ -223,15 +220,11 @@ def relight(
             mask,
             model,
             output,
-            lights=[light_of(text) for text in light or ["1,1,2"]],
-            strip=strip,
-            sheet=sheet,
+            lamps if count is None else lamp_ring(count, elevation),
+            layout="strip" if strip else "sheet" if sheet else "picture",
             original=original,
             coded="linear" if linear else "srgb",
-            elevation_deg=elevation,
-            fov_deg=fov,
-            depth=depth,
-            xyz=normal_xyz,
+            reading=GBufferReading(fov_deg=fov, depth=depth, xyz=normal_xyz),
             green=green.value,
             exposure_ev=stops_of(exposure),
         )

@@ -107,13 +107,10 @@ def in_srgb(linear: NDArray[np.float32], matrix: Floats | None) -> NDArray[np.fl
 
 def exr_matrix(path: str | os.PathLike[str]) -> Floats | None:
     """`[3, 3]` of an EXR's `chromaticities`, which all its parts share; None where it is sRGB."""
-    from raden_torch.images.exr import headers_of
+    from raden_torch.images.exr_file import ExrFile
 
-    header = next(iter(headers_of(path, by_rows=True).values()))
-    place = header.get("chromaticities")
-    if place is None:
-        return None
-    return to_srgb(tuple(float(v) for v in place), path)
+    place = ExrFile(path).first.chromaticities
+    return None if place is None else to_srgb(place, path)
 
 
 def float_matrix(

@@ -20,7 +20,10 @@ MAX_PIXELS = 178_956_970
 Alpha = Literal["none", "straight", "associated"]
 
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM")
-_KNOWN = "a PNG, JPEG, TIFF, BMP, GIF, WebP, PPM or Radiance HDR image"
+_KNOWN = (
+    "a PNG, JPEG, TIFF, BMP, GIF, WebP, PPM, Radiance HDR, Targa, PSD, DPX, SGI, JPEG 2000 or "
+    "JPEG XL image"
+)
 _GREY_OR_RGB = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr", "I;16", "I", "F")
 _PHOTOMETRIC = {5: "CMYK", 8: "Lab", 9: "Lab", 10: "Lab", 32803: "CFA", 34892: "LinearRaw"}
 _TIFF_STARTS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
@@ -52,7 +55,7 @@ class Header:
     """One image's header.
 
     Attributes:
-        format: Pillow's name of it, or "HDR".
+        format: Pillow's name of it, "HDR", or that of `other_format`.
         bits: of one stored value; 8 where there are fewer.
         kind: NumPy's letter for the stored values: u, i or f.
         alpha: whether the colours are multiplied by it.

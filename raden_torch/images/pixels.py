@@ -1,7 +1,7 @@
 """Stored pixels of an image file: no curve undone, no scaling, colours not multiplied by alpha.
 
 8 bits go through Pillow, which knows palettes, transparency and all ways of packing them; deeper
-values through OpenCV, since Pillow cuts them to 8 bits.
+values through OpenCV, since Pillow cuts them to 8 bits; what only compositors write, OpenImageIO.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
 from raden_torch.images.header import Header, check_size, read_header
+from raden_torch.images.other_formats import other_format, read_other
 from raden_torch.packages import require
 
 OPAQUE_ENOUGH = 2.0**-16
@@ -48,16 +49,22 @@ class StoredImage:
 
 
 def read_image(path: str | os.PathLike[str]) -> StoredImage:
-    """The stored values of a PNG, JPEG, TIFF, BMP, GIF, WebP, PPM or Radiance HDR file.
+    """The stored values of a PNG, JPEG, TIFF, BMP, GIF, WebP, PPM or Radiance HDR file, or of one
+    in `other_formats.py`.
 
     A palette comes as the colours that it stands for; bits fewer than 8 as 8.
 
     Raises:
-        InputError: as for `read_header`, or damaged.
+        InputError: as for `read_header` and `read_other`, or damaged.
     """
-    header = read_header(path)
-    by_pillow = header.bits == 8 or (header.format, header.kind) == ("PPM", "f")
-    values = _by_pillow(path, header) if by_pillow else _by_opencv(path)
+    other = other_format(path)
+    by_pillow = False
+    if other is None:
+        header = read_header(path)
+        by_pillow = header.bits == 8 or (header.format, header.kind) == ("PPM", "f")
+        values = _by_pillow(path, header) if by_pillow else _by_opencv(path)
+    else:
+        header, values = read_other(path, other)
     if header.format != "TIFF":  # both decoders turn a TIFF themselves
         values = oriented(values, header.orientation)
     check_size(path, values.shape[1], values.shape[0])

@@ -5,17 +5,18 @@ from __future__ import annotations
 import io
 import re
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raden_torch.errors import InputError
+from raden_torch.images.other_formats import other_format
 from raden_torch.packages import require
 
 if TYPE_CHECKING:
-    from raden_torch.images.exr_rows import ExrRows
+    from raden_torch.images.exr_file import ExrFile
 
 _MOST_LAYERS = 40
-_TYPES = {"float16": "half", "float32": "float", "uint32": "uint"}
 _CHANNELS = {1: "grey", 2: "grey, alpha", 3: "RGB", 4: "RGB, alpha"}
 _IMAGES = re.compile(
     rb"\x89PNG\r\n\x1a\n|\xff\xd8\xff|II[*+]\0|MM\0[*+]|#\?(?:RADIANCE|RGBE)|GIF8|RIFF.{4}WEBP"
@@ -31,38 +32,28 @@ def recognises_exr(head: bytes) -> bool:
 
 def describe_exr(path: Path) -> str:
     """Size, layers, compression, and what of a G-buffer is in it."""
-    from raden_torch.images.exr import headers_of
-    from raden_torch.images.exr_chunks import chunks_of
-    from raden_torch.images.exr_rows import ExrRows
+    from raden_torch.images.exr_file import ExrFile
 
-    file = ExrRows(path)
+    file = ExrFile(path)
+    file.check_whole()
     height, width = file.size
     lines = [f"OpenEXR file: {width} x {height} pixels (width x height)"]
-    headers = headers_of(path, by_rows=True)
-    for (name, header), part in zip(headers.items(), chunks_of(path), strict=True):
-        part.check_whole()
+    for name, part in file.parts.items():
         stored = f"tiles of {part.tile[0]} x {part.tile[1]}" if part.tile else "scan lines"
-        compression = header["compression"].name.removesuffix("_COMPRESSION")
         of = f"part {name}: " if name else ""
-        lines.append(f"{of}{stored}, compression {compression}")
-        if part.window != part.display:
-            data, display = map(_corners, (part.window, part.display))
-            lines.append(f"data window {data}; display window {display}")
+        lines.append(f"{of}{stored}, compression {part.compression.upper()}")
+        if part.data != part.display:
+            lines.append(f"data window {part.data}; display window {part.display}")
         lines += _layers(part.channels)
     return "\n".join([*lines, _gbuffer(file)])
 
 
-def _corners(window: tuple[int, int, int, int]) -> str:
-    left, top, right, bottom = window
-    return f"{left}, {top} to {right}, {bottom}"
-
-
-def _layers(channels: dict[str, Any]) -> list[str]:
+def _layers(channels: Mapping[str, str]) -> list[str]:
     """One line a layer and type: `layer N: X, Y, Z (float)`."""
     layers: dict[tuple[str, str], list[str]] = {}
     for name, kind in channels.items():
         layer, _, last = name.rpartition(".")
-        layers.setdefault((layer, _TYPES[kind.name]), []).append(last)
+        layers.setdefault((layer, kind), []).append(last)
     lines = [
         f"{f'layer {layer}:' if layer else 'channels'} {', '.join(names)} ({kind})"
         for (layer, kind), names in layers.items()
@@ -71,10 +62,10 @@ def _layers(channels: dict[str, Any]) -> list[str]:
     return lines if more <= 0 else [*lines[:_MOST_LAYERS], f"and {more} more layers"]
 
 
-def _gbuffer(file: ExrRows) -> str:
+def _gbuffer(file: ExrFile) -> str:
     """Whether `raden render --gbuffer` finds what it needs."""
-    from raden_torch.brdf.files.exr_layers import Layers
-    from raden_torch.brdf.files.gbuffer_file import evidence
+    from raden_torch.brdf.files.exr_tensors import evidence
+    from raden_torch.images.exr_layers import Layers
 
     try:
         layers = Layers.of(file, None)
@@ -99,7 +90,7 @@ def _gbuffer(file: ExrRows) -> str:
 
 
 def recognises_image(head: bytes) -> bool:
-    return _IMAGES.match(head) is not None
+    return _IMAGES.match(head) is not None or other_format("", head) is not None
 
 
 def describe_image(path: Path) -> str:
@@ -109,9 +100,12 @@ def describe_image(path: Path) -> str:
 
     said = _said(path)
     width, height = said.pop("size", (0, 0))
-    mode, form = said.pop("mode", ""), said.pop("format", "Radiance HDR")
+    other = other_format(path)
+    mode, form = said.pop("mode", ""), other or said.pop("format", "Radiance HDR")
+    said.pop("format", None)
     try:
-        read_header(path)
+        if other is None:
+            read_header(path)
     except InputError as error:
         if not mode:
             raise

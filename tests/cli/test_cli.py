@@ -138,7 +138,7 @@ def test_exr_gbuffers(raden: Command, shell: Path, shared: Path) -> None:
     model, folder = shell / "shell.safetensors", shared / "data/gbuffer"
     done = raden("render", model, "--gbuffer", folder / "normals.exr", "-o", shell / "box.exr")
     assert done.returncode == 0, done.stderr
-    from raden_torch.brdf.files.gbuffer_file import read_colour
+    from raden_torch.brdf.files.exr_tensors import read_colour
 
     assert read_colour(shell / "box.exr").shape == (1, 3, 64, 64)
     ball = folder / "singlepart.0001.exr"
@@ -160,7 +160,7 @@ def test_exr_gbuffers(raden: Command, shell: Path, shared: Path) -> None:
 def test_depth_along_the_ray_is_the_planar_picture(
     raden: Command, shell: Path, shared: Path
 ) -> None:
-    from raden_torch.brdf.files.gbuffer_file import read_colour
+    from raden_torch.brdf.files.exr_tensors import read_colour
 
     folder, pictures = shared / "data/cases", []
     for name, kind in (("planar", "planar"), ("along_ray", "distance")):

@@ -7,6 +7,7 @@ import struct
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image, ImageCms
 
@@ -19,7 +20,6 @@ from raden_torch.images.colour_space import (
     in_srgb,
     srgb_curve,
 )
-from raden_torch.images.exr import write_arrays
 from raden_torch.images.header import ColourTags
 from raden_torch.images.pixels import read_image
 
@@ -221,21 +221,24 @@ def test_an_exrs_chromaticities(tmp_path: Path) -> None:
     """ACES AP0, whose white is near D60. Expected: colour-science's matrix; white stays white."""
     import colour
 
-    ones = {"": {c: np.ones((2, 2), np.float32) for c in "RGB"}}
+    def write(header: dict[str, object]) -> None:
+        pixels = {c: np.ones((2, 2), np.float32) for c in "RGB"}
+        OpenEXR.File({"type": OpenEXR.scanlineimage, **header}, pixels).write(str(path))
+
     ap0 = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
     path = tmp_path / "a.exr"
-    write_arrays(path, ones, {"chromaticities": ap0}, path)
+    write({"chromaticities": ap0})
     matrix = exr_matrix(path)
     expected = colour.matrix_RGB_to_RGB(
         colour.RGB_COLOURSPACES["ACES2065-1"], colour.RGB_COLOURSPACES["sRGB"], "Bradford"
     )
     np.testing.assert_allclose(matrix, expected, atol=2e-3)
     np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-5)
-    write_arrays(path, ones, {"chromaticities": SRGB_PLACES}, path)
+    write({"chromaticities": SRGB_PLACES})
     assert exr_matrix(path) is None
-    write_arrays(path, ones, {}, path)
+    write({})
     assert exr_matrix(path) is None
-    write_arrays(path, ones, {"chromaticities": (0.3,) * 8}, path)
+    write({"chromaticities": (0.3,) * 8})
     with pytest.raises(InputError, match=r"a\.exr: expected x, y of three primaries"):
         exr_matrix(path)
 

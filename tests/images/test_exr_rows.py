@@ -12,9 +12,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from raden_torch.errors import InputError
-from raden_torch.images.exr import read_parts, write_channels
-from raden_torch.images.exr_chunks import LINES, chunks_of
-from raden_torch.images.exr_rows import ExrRows, rows_written
+from raden_torch.images.exr import read_parts, rows_written, write_channels
+from raden_torch.images.exr_file import ExrFile
 
 OpenEXR = pytest.importorskip("OpenEXR")
 
@@ -46,7 +45,7 @@ def window(left: int, top: int) -> dict[str, object]:
     }
 
 
-COMPRESSIONS = [c for c in OpenEXR.Compression.__members__.values() if int(c) < len(LINES)]
+COMPRESSIONS = [c for n, c in OpenEXR.Compression.__members__.items() if n.endswith("_COMPRESSION")]
 FLAT = {"compression": OpenEXR.NO_COMPRESSION}
 LAYOUTS = {
     **{c.name: [part(compression=c)] for c in COMPRESSIONS},
@@ -67,25 +66,45 @@ LAYOUTS = {
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
+def test_pixels_are_those_that_openexr_reads(tmp_path, layout) -> None:
+    path = tmp_path / "x.exr"
+    OpenEXR.File(LAYOUTS[layout]).write(str(path))
+    found = ExrFile(path)
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        for part, header in zip(file.parts, found.parts.values(), strict=True):
+            (left, top), (right, bottom) = part.header["displayWindow"]
+            (x, y), _ = part.header["dataWindow"]
+            whole = np.zeros((1000, 1000), np.float32)  # around the display window's corner
+            row, column = y - top + 100, x - left + 100
+            for name, channel in part.channels.items():
+                whole[row : row + H, column : column + W] = channel.pixels
+                shown = whole[100 : 101 + bottom - top, 100 : 101 + right - left]
+                key = (header.name, name)
+                np.testing.assert_array_equal(found.read([key], 0, found.size[0])[key], shown)
+
+
+def test_channels_of_several_kinds_are_read_together(tmp_path) -> None:
+    path = tmp_path / "x.exr"
+    OpenEXR.File([part()]).write(str(path))
+    file = ExrFile(path)
+    assert file.first.channels == {"N.X": "half", "Z": "float", "id": "uint"}
+    found = file.read([("", name) for name in ("id", "Z", "N.X")], 3, 99)
+    for name, values in CHANNELS.items():
+        np.testing.assert_array_equal(found["", name], values[3:99].astype(np.float32))
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
 def test_rows_are_those_of_the_whole(tmp_path, layout) -> None:
     path = tmp_path / "x.exr"
     OpenEXR.File(LAYOUTS[layout]).write(str(path))
-    whole, file = read_parts(path), ExrRows(path)
+    whole, file = read_parts(path), ExrFile(path)
     assert file.size == next(iter(next(iter(whole.values())).values())).shape
     for top, bottom in BANDS:
         for _, name, channel in file.keys:
-            rows = file.read(name, channel, top, bottom)
+            rows = file.read([(name, channel)], top, bottom)[name, channel]
             np.testing.assert_array_equal(rows, whole[name][channel][top:bottom])
             assert rows.dtype == np.float32
     assert len(file.keys) == sum(map(len, whole.values()))
-
-
-def test_uncompressed_rows_are_mapped_not_copied(tmp_path, monkeypatch) -> None:
-    path = tmp_path / "x.exr"
-    OpenEXR.File([part(**FLAT)]).write(str(path))
-    file = ExrRows(path)
-    monkeypatch.setattr(file, "_copied", None)
-    np.testing.assert_array_equal(file.read("", "Z", 3, 99), CHANNELS["Z"][3:99])
 
 
 @pytest.mark.parametrize("rows", [16, 48, 304])
@@ -118,23 +137,51 @@ def written(request, tmp_path_factory) -> tuple[Path, Path, int]:
         request.param, {"compression": getattr(OpenEXR, f"{request.param}_COMPRESSION", None)}
     )
     OpenEXR.File([part(**parts)]).write(str(path))
-    (chunks,) = chunks_of(path)
-    return path.with_name("x.exr"), path, int(chunks.offsets.min()) - 8 * len(chunks.offsets)
+    return path.with_name("x.exr"), path, table_of(path.read_bytes())
+
+
+def table_of(data: bytes) -> int:
+    """Where the header of a single part ends, by OpenEXR's file layout."""
+    at = 8
+    while data[at]:
+        at = data.index(b"\0", data.index(b"\0", at) + 1) + 1  # after the name and the type
+        at += 4 + struct.unpack_from("<i", data, at)[0]
+    return at + 1
 
 
 def read_two_bands(path: Path) -> list[np.ndarray]:
-    file = ExrRows(path)
-    return [file.read("", "Z", *band) for band in ((5, 70), (250, 301))]
+    file = ExrFile(path)
+    return [file.read([("", "Z")], *band)["", "Z"] for band in ((5, 70), (250, 301))]
 
 
-def test_an_enormous_tile_is_refused_before_memory_is_taken(tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("width", "height", "words"),
+    [
+        (2**24, 40, "tile size 16777216x40x1 exceeds"),  # OpenImageIO refuses it itself
+        (2**20, 2**10, "tiles: expected .* pixels, got 1048576 x 1024"),
+    ],
+)
+def test_an_enormous_tile_is_refused_before_memory_is_taken(tmp_path, width, height, words) -> None:
     path = tmp_path / "x.exr"
     OpenEXR.File([part(**tiles(24, 40))]).write(str(path))
     data = path.read_bytes()
-    path.write_bytes(data.replace(struct.pack("<2I", 24, 40), struct.pack("<2I", 2**24, 40)))
-    for read in (read_parts, ExrRows):
-        with pytest.raises(InputError, match=r"tiles: expected .* pixels, got 16777216 x 40"):
+    path.write_bytes(data.replace(struct.pack("<2I", 24, 40), struct.pack("<2I", width, height)))
+    for read in (read_parts, ExrFile):
+        with pytest.raises(InputError, match=words):
             read(path)
+
+
+def test_an_enormous_block_of_rows_is_refused_before_memory_is_taken(tmp_path) -> None:
+    """What is compressed together is decoded together: 256 rows of DWAB."""
+    path = tmp_path / "x.exr"
+    OpenEXR.File([part(compression=OpenEXR.DWAB_COMPRESSION)]).write(str(path))
+    data = path.read_bytes()
+    for name in (b"dataWindow", b"displayWindow"):
+        start = data.index(name + b"\0box2i\0") + len(name) + 7 + 4
+        data = data[:start] + struct.pack("<4i", 0, 0, 2**20 - 1, 79) + data[start + 16 :]
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"compressed together .* got 80 rows of 1048576 pixels"):
+        ExrFile(path)
 
 
 @settings(max_examples=60, deadline=None)

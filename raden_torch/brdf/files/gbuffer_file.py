@@ -1,5 +1,8 @@
 """G-buffers in OpenEXR files: which channels are the normals, the positions, the depth.
 
+`images/exr_file.py` reads rows of channels, `images/exr_layers.py` knows the names of layers, and
+`gbuffer_reading.py` what else has to be said; here they become a `GBuffer`.
+
 Whatever the file holds, the G-buffer is in one frame: x right, y up, z to the viewer. Normals and
 positions are taken as they are; a renderer that writes world-space vectors must have looked along
 −z, or the lights are in its world's frame. Positions and normals that come from depth have the
@@ -9,25 +12,21 @@ camera at the origin and the scene at z < 0.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from math import lcm
-from typing import cast
+from typing import Any, cast
 
-import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from raden_torch.brdf.files.depth_check import warn_of_other_kind
-from raden_torch.brdf.files.exr_layers import Key, Layers
-from raden_torch.brdf.files.normal_axes import NormalAxes
+from raden_torch.brdf.files.exr_tensors import evidence, stacked
+from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.normal_check import warn_of_normals
-from raden_torch.brdf.files.normal_coding import Evidence, decoded, has_negative
+from raden_torch.brdf.files.normal_coding import decoded, has_negative
 from raden_torch.brdf.files.pinhole import Y_UP, pinhole_matrix, rays
 from raden_torch.brdf.shading.depth import (
     FAR,
-    LARGEST_HALF,
-    MAX_SMOOTH_PX,
     depth_kind,
     grown,
     in_front,
@@ -36,28 +35,17 @@ from raden_torch.brdf.shading.depth import (
     warn_of_steps,
 )
 from raden_torch.brdf.shading.gbuffer import GBuffer
-from raden_torch.brdf.shading.lights import Triple
 from raden_torch.errors import InputError
-from raden_torch.images.exr import write_channels
-from raden_torch.images.exr_rows import WRITTEN_LINES, ExrRows
+from raden_torch.images.exr import WRITTEN_LINES
+from raden_torch.images.exr_file import ExrFile, Key
+from raden_torch.images.exr_layers import Layers
 
 BYTES_A_PIXEL, BYTES_A_CHANNEL = 240, 10
 """The most that reading, shading and writing some rows takes: that of the eager form. With the
 fused kernel it is a third."""
 
 
-def read_gbuffer(
-    path: str | os.PathLike[str],
-    *,
-    channels: Mapping[str, str] | None = None,
-    intrinsics: Tensor | ArrayLike | None = None,
-    fov_deg: float | None = None,
-    camera: Triple | None = None,
-    view: Triple | None = None,
-    smooth_px: float = 0.0,
-    depth: str | None = None,
-    xyz: str = "r,g,b",
-) -> GBuffer:
+def read_gbuffer(path: str | os.PathLike[str], **reading: Any) -> GBuffer:
     """The G-buffer in an EXR file; the frame is that of this module.
 
     Normals are found by name (`NAMES`, as "N.X", "Normal.R", "ViewLayer.Normal.X") or are the bare
@@ -65,24 +53,8 @@ def read_gbuffer(
     where no value is below −0.02 and the median vector comes nearer to unit length by it. Without
     normals they are made from depth, which is planar z unless `depth` says otherwise.
 
-    The direction to the viewer is, the first that is given: `view`; from positions to `camera`; a
-    pinhole's, by `intrinsics` or `fov_deg`; (0, 0, 1), a camera at infinity that looks along −z.
-
     Args:
-        channels: layers by name, `{"normal": "MyLayer", "position": …, "depth": "Z2", "mask": …}`;
-            a vector's three channels also as "nx,ny,nz".
-        intrinsics: `[3, 3]` pinhole matrix in pixels of the display window, y down.
-        fov_deg: instead, the horizontal angle of view around the centre; the header's pixel aspect
-            ratio makes it the vertical one.
-        camera: `[3]`, the viewer's position, for a file with positions.
-        view: `[3]` towards a viewer at infinity, or a map `[1, 3, H, W]`.
-        smooth_px: standard deviation of a Gaussian over the depth before normals are made of it;
-            depth in half precision needs one of several pixels.
-        depth: what the depth is, one of `depth.KINDS`: "planar", "distance" along the pixel's ray,
-            "negative", or the renderer that wrote it. None is planar, and warns where the surface
-            indicates another.
-        xyz: the channels of the normals that hold x, y and z ("r" is the first of the three), with
-            a minus where one points the other way: "r,-g,-b" for a camera with y down, z forward.
+        reading: attributes of `GBufferReading`, as in `fov_deg=40`.
 
     Returns:
         A batch of 1 in float32. The mask is the file's mask or alpha, and 0 where the normal is
@@ -90,24 +62,14 @@ def read_gbuffer(
 
     Raises:
         InputError: no such channel (the message lists those there are), depth without a camera, no
-            valid pixel, or a file that `read_parts` rejects.
+            valid pixel, or a file that `ExrFile` rejects.
 
     Warns:
         UserWarning: the steps of half-precision depth will show in the normals; depth that is not
             declared is the distance along the ray, by the shapes that it shows; without `camera`
             and `view`, normals are stored otherwise, by `normal_check`.
     """
-    file = GBufferFile(
-        path,
-        channels=channels,
-        intrinsics=intrinsics,
-        fov_deg=fov_deg,
-        camera=camera,
-        view=view,
-        smooth_px=smooth_px,
-        depth=depth,
-        xyz=xyz,
-    )
+    file = GBufferFile(path, GBufferReading(**reading))
     gbuffer = file.rows(0, file.size[0])
     if not has_pixels(gbuffer):
         raise file.is_empty()
@@ -115,7 +77,7 @@ def read_gbuffer(
 
 
 class GBufferFile:
-    """The G-buffer in an EXR file, read some rows at a time; arguments as for `read_gbuffer`.
+    """The G-buffer in an EXR file, read some rows at a time; otherwise as `read_gbuffer`.
 
     Every band is as those rows of the whole.
 
@@ -131,36 +93,26 @@ class GBufferFile:
     def __init__(
         self,
         path: str | os.PathLike[str],
+        reading: GBufferReading = USUAL,
         *,
-        channels: Mapping[str, str] | None = None,
-        intrinsics: Tensor | ArrayLike | None = None,
-        fov_deg: float | None = None,
-        camera: Triple | None = None,
-        view: Triple | None = None,
-        smooth_px: float = 0.0,
-        depth: str | None = None,
-        xyz: str = "r,g,b",
         memory: int | None = None,
     ) -> None:
-        if view is not None and camera is not None:
-            raise InputError(f"{path}: expected view or camera, got both")
-        if not 0 <= smooth_px <= MAX_SMOOTH_PX:
-            raise InputError(f"smooth_px: expected 0…{MAX_SMOOTH_PX:g} pixels, got {smooth_px:g}")
-        self.path, self._camera, self._view, self._smooth_px = path, camera, view, smooth_px
-        self._is_declared, self._kind = depth is not None, depth_kind(depth or "planar")
-        self._axes = NormalAxes.of(xyz)
-        self._file = ExrRows(path)
+        self.path, self._reading = path, reading
+        self._kind, self._axes = depth_kind(reading.depth or "planar"), reading.axes
+        self._file = ExrFile(path)
         self.size = self._file.size
         self.bands = _bands(self._file, memory)
-        layers = Layers.of(self._file, channels)
+        layers = Layers.of(self._file, reading.channels)
         self._normal, self._coded = self._normals(layers)
         self._depth, self._mask = layers.scalar("depth"), layers.scalar("mask")
         self._position = None if self._normal is None else layers.vector("position")
-        self._matrix = self._pinhole(intrinsics, fov_deg)
+        self._matrix = self._pinhole()
         self._check(layers)
 
     def rows(self, top: int, bottom: int) -> GBuffer:
         """The rows from `top` to before `bottom`, a batch of 1 in float32."""
+        vectors = (*(self._normal or ()), *(self._position or ()))
+        self._file.read((*vectors, *(self._depth or ()), *(self._mask or ())), top, bottom)
         stored = self._read(self._depth, top, bottom)
         depth = None if stored is None else in_front(stored, self._kind)
         if self._normal is not None:
@@ -185,11 +137,10 @@ class GBufferFile:
         found = evidence(self._file, keys, self.bands)
         return (keys if named or found.is_normals else None), found.is_coded
 
-    def _pinhole(
-        self, intrinsics: Tensor | ArrayLike | None, fov_deg: float | None
-    ) -> Tensor | None:
+    def _pinhole(self) -> Tensor | None:
+        said, aspect = self._reading, self._file.first.pixel_aspect
         try:
-            return pinhole_matrix(intrinsics, fov_deg, self.size, self._file.pixel_aspect)
+            return pinhole_matrix(said.intrinsics, said.fov_deg, self.size, aspect)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
 
@@ -200,7 +151,7 @@ class GBufferFile:
             "0, 0, 0, got one"
         )
         if self._normal is not None:
-            if self._camera is not None and self._position is None:
+            if self._reading.camera is not None and self._position is None:
                 if self._depth is not None and pinhole:
                     raise at_origin
                 raise layers.missing("camera: expected positions with it (position=LAYER)")
@@ -212,7 +163,7 @@ class GBufferFile:
                 f"{self.path}: expected normals, or a depth and its camera, got the channels "
                 f"{layers.listing}; give intrinsics or fov_deg, or name the normals' layer"
             )
-        if self._camera is not None:
+        if self._reading.camera is not None:
             raise at_origin
         if len(self.bands) > 1:
             raise InputError(
@@ -227,13 +178,13 @@ class GBufferFile:
         stored = decoded(cast(Tensor, self._read(self._normal, top, bottom)), self._coded)
         normal = self._axes.of_map(stored)
         position = self._read(self._position, top, bottom)
-        camera, view = self._camera, self._view
+        camera, view = self._reading.camera, self._reading.view
         there = (normal != 0).any(dim=1, keepdim=True)
         if depth is not None:
             there = there & is_depth(depth)
         mask = self._masked(there, top, bottom)
         is_in_the_middle = top <= self.size[0] // 2 < bottom
-        if is_in_the_middle and self._camera is None and self._view is None:
+        if is_in_the_middle and self._reading.camera is None and self._reading.view is None:
             warn_of_normals(self.path, stored * (mask > 0), self._axes, is_coded=self._coded)
         through = None if self._matrix is None else rays(self._matrix, top, bottom, self.size[1])
         if position is None and depth is not None and through is not None:
@@ -254,12 +205,12 @@ class GBufferFile:
         self._warn_of_depth(depth, there, through)
         position = self._positions(depth, through)
         # a neutral depth of 1 where there is none
-        made = GBuffer.from_depth(grown(-position[:, 2:], there, self._smooth_px), matrix)
+        made = GBuffer.from_depth(grown(-position[:, 2:], there, self._reading.smooth_px), matrix)
         y_up = depth.new_tensor(Y_UP).view(3, 1, 1)
         normal = torch.where(there, made.normal * y_up, torch.zeros_like(made.normal))
         mask = self._masked(there, 0, height)
-        if self._view is not None:
-            return GBuffer(normal, view=_as_view(self._view), position=position, mask=mask)
+        if self._reading.view is not None:
+            return GBuffer(normal, view=_as_view(self._reading.view), position=position, mask=mask)
         return GBuffer(normal, position=position, camera=(0.0, 0.0, 0.0), mask=mask)
 
     def _warn_of_depth(self, depth: Tensor, there: Tensor, through: Tensor) -> None:
@@ -268,9 +219,9 @@ class GBufferFile:
                 f"{self.path}: depth: expected a valid pixel, got none above 0; if it is the z of "
                 'a camera that looks along −z, give `depth="negative"`'
             )
-        if self._smooth_px <= 0:
+        if self._reading.smooth_px <= 0:
             warn_of_steps(self.path, depth[there], cast(Tensor, self._matrix))
-        if not self._is_declared:
+        if self._reading.depth is None:
             warn_of_other_kind(self.path, depth, there, through)
 
     def _positions(self, depth: Tensor, through: Tensor) -> Tensor:
@@ -290,56 +241,7 @@ def has_pixels(gbuffer: GBuffer) -> bool:
     return gbuffer.mask is None or bool((gbuffer.mask > 0).any())
 
 
-def read_colour(
-    path: str | os.PathLike[str], *, channels: Mapping[str, str] | None = None
-) -> Tensor | None:
-    """`[1, 3, H, W]` scene-linear RGB of the file, or None where it holds none.
-
-    As OpenEXR has it, multiplied by alpha. The bare R, G, B, or a layer in `NAMES`; values that are
-    not finite become 0. Bare colours that are unit vectors are normals, not colours.
-
-    Args:
-        channels: as for `read_gbuffer`, `{"colour": "Layer"}`.
-    """
-    file = ExrRows(path)
-    layers = Layers.of(file, channels)
-    keys, bare, whole = layers.vector("colour"), layers.bare_vector(), _bands(file, None)
-    if keys is None:
-        return None
-    may_be_normals = "colour" not in layers.chosen and layers.vector("normal") is None
-    if bare is not None and may_be_normals and evidence(file, bare, whole).is_normals:
-        return None
-    colour = stacked(file, keys, *whole[0])
-    return torch.where(torch.isfinite(colour), colour, torch.zeros_like(colour))
-
-
-def write_image(image: Tensor, path: str | os.PathLike[str]) -> None:
-    """Write scene-linear `[1, 3, H, W]` RGB as an EXR of half floats, cut off at ±65504."""
-    if image.ndim != 4 or image.shape[:2] != (1, 3):
-        raise InputError(f"{path}: image: expected shape [1, 3, H, W], got {list(image.shape)}")
-    write_channels(path, in_halves(image), half=True)
-
-
-def in_halves(image: Tensor) -> dict[str, NDArray[np.float16]]:
-    """`[1, 3, H, W]` → the channels R, G, B as half floats, cut off at ±65504."""
-    rgb = image[0].detach().float().clamp(-LARGEST_HALF, LARGEST_HALF).cpu().numpy()
-    return dict(zip("RGB", rgb.astype(np.float16), strict=True))
-
-
-def stacked(file: ExrRows, keys: Sequence[Key], top: int, bottom: int) -> Tensor:
-    """`[1, C, rows, W]` of these channels."""
-    maps = np.empty((len(keys), bottom - top, file.size[1]), np.float32)
-    for pixels, (part, channel) in zip(maps, keys, strict=True):
-        pixels[:] = file.read(part, channel, top, bottom)
-    return torch.from_numpy(maps)[None]
-
-
-def evidence(file: ExrRows, keys: Sequence[Key], bands: Sequence[tuple[int, int]]) -> Evidence:
-    """Of vectors in the file, over all its bands."""
-    return sum((Evidence.of(stacked(file, keys, *band)) for band in bands), Evidence())
-
-
-def _bands(file: ExrRows, memory: int | None) -> list[tuple[int, int]]:
+def _bands(file: ExrFile, memory: int | None) -> list[tuple[int, int]]:
     height, width = file.size
     a_row = width * (BYTES_A_PIXEL + BYTES_A_CHANNEL * len(file.keys))
     if memory is None:

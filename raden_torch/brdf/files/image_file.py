@@ -13,7 +13,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from raden_torch.brdf.files.exr_layers import Layers
+from raden_torch.brdf.files.exr_tensors import read_colour, stacked
+from raden_torch.brdf.files.gbuffer_file import read_gbuffer
+from raden_torch.brdf.files.gbuffer_reading import GBufferReading
 from raden_torch.brdf.files.normal_axes import Green, NormalAxes
 from raden_torch.brdf.files.normal_check import warn_of_normals
 from raden_torch.brdf.shading.gbuffer import GBuffer
@@ -27,7 +29,8 @@ from raden_torch.images.colour_space import (
     in_srgb,
 )
 from raden_torch.images.exr import write_channels
-from raden_torch.images.exr_rows import ExrRows
+from raden_torch.images.exr_file import ExrFile
+from raden_torch.images.exr_layers import Layers
 from raden_torch.images.mask import read_mask_pixels
 from raden_torch.images.pixels import (
     OPAQUE_ENOUGH,
@@ -165,10 +168,8 @@ def _stored(values: Tensor, levels: int | None) -> NDArray[Any]:
 
 def _exr_photograph(path: str | os.PathLike[str]) -> Photograph:
     """With the alpha of the layer that the colours are in."""
-    from raden_torch.brdf.files.gbuffer_file import read_colour, stacked
-
     colour = read_colour(path)
-    file = ExrRows(path)
+    file = ExrFile(path)
     grey = [(part, name) for _, part, name in file.keys if name == "Y"]
     if colour is None and len(grey) == 1:
         colour = torch.nan_to_num(stacked(file, grey * 3, 0, file.size[0]), posinf=0, neginf=0)
@@ -214,12 +215,7 @@ def _finite(values: NDArray[Any]) -> NDArray[np.float32]:
 
 
 def read_normal_map(
-    path: str | os.PathLike[str],
-    green: Green = "opengl",
-    *,
-    xyz: str = "r,g,b",
-    fov_deg: float | None = None,
-    depth: str | None = None,
+    path: str | os.PathLike[str], green: Green = "opengl", **reading: Any
 ) -> Tensor:
     """Read a normal map, x right, y up, z to the viewer.
 
@@ -228,10 +224,8 @@ def read_normal_map(
 
     Args:
         green: "opengl" where green points up, "directx" where it points down.
-        xyz: the channels that hold x, y and z, as in "b,g,r", with a minus where one points the
-            other way: "r,g,-b".
-        fov_deg, depth: horizontal field of view, and what the depth is (as for `read_gbuffer`), of
-            an EXR that holds depth instead of normals.
+        reading: attributes of `GBufferReading`: `xyz`, and what an EXR with other layers needs, as
+            `fov_deg` and `depth` where it holds depth instead of normals.
 
     Returns:
         `[1, 3, H, W]` unit normals, zero where there is none.
@@ -243,11 +237,9 @@ def read_normal_map(
         UserWarning: a JPEG, whose blocks tilt the normals; a map that by its lengths, directions or
             slopes is stored otherwise (see `normal_check`).
     """
-    axes = NormalAxes.of(xyz, green)
+    axes = NormalAxes.of(GBufferReading(**reading).xyz, green)
     if Path(path).suffix.lower() == ".exr":
-        from raden_torch.brdf.files.gbuffer_file import read_gbuffer
-
-        normal = _masked_normals(read_gbuffer(path, fov_deg=fov_deg, depth=depth, xyz=str(axes)))
+        normal = _masked_normals(read_gbuffer(path, **{**reading, "xyz": str(axes)}))
     else:
         pixels = read_pixels(path, colour=False)
         if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):

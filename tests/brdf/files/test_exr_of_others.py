@@ -123,6 +123,25 @@ def test_threads_leave_the_outputs_as_they_are(tmp_path: Path) -> None:
     assert (after.st_dev, after.st_ino) == (before.st_dev, before.st_ino)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="a fork of a process with threads")
+def test_files_are_read_and_written_after_a_fork(tmp_path: Path) -> None:
+    """As by the workers of a torch DataLoader."""
+    code = """
+import os, sys
+import numpy as np
+from raden_torch.images.exr import read_channels, write_channels
+pixels = np.random.default_rng(0).normal(size=(600, 500)).astype(np.float32)
+write_channels(sys.argv[1], {"Z": pixels, "Y": pixels})
+read_channels(sys.argv[1])
+if os.fork() == 0:
+    write_channels(sys.argv[1], {"Z": 2 * pixels})
+    os._exit(not np.array_equal(read_channels(sys.argv[1])["Z"], 2 * pixels))
+sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+    done = subprocess.run([sys.executable, "-c", code, str(tmp_path / "z.exr")], timeout=60)
+    assert done.returncode == 0
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="closes a file descriptor before Python starts")
 def test_a_process_without_stderr_reads_and_writes(tmp_path: Path) -> None:
     path = tmp_path / "z.exr"

@@ -26,6 +26,7 @@ from raden_torch.brdf.files.image_file import (
     write_photograph,
 )
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
+from raden_torch.brdf.shading.relight import lamp_ring
 from raden_torch.errors import InputError
 from raden_torch.images.exr import read_channels, write_channels
 from raden_torch.pictures import relight_files
@@ -356,12 +357,12 @@ def test_alpha_is_kept_when_relit(tmp_path: Path, scene: dict[str, Any], name: s
     np.testing.assert_array_equal(found[:, :4], pixels[:, :4])
     half = 65535 * (1.055 * 0.5 ** (1 / 2.4) - 0.055)
     np.testing.assert_allclose(found[:, 4:, :3], half, atol=5)
-    strip = tmp_path / f"strip_{name}"
-    relight_files([tmp_path / name], output=strip, **scene, strip=3)
+    strip, three = tmp_path / f"strip_{name}", scene | {"lights": lamp_ring(3)}
+    relight_files([tmp_path / name], output=strip, **three, layout="strip")
     found = cv2.imread(str(strip), cv2.IMREAD_UNCHANGED)
     np.testing.assert_array_equal(found[..., 3], np.tile(pixels[..., 3], 3))
     with pytest.warns(UserWarning, match="a contact sheet is opaque"):
-        relight_files([tmp_path / name], output=tmp_path / f"sheet_{name}", **scene, sheet=2)
+        relight_files([tmp_path / name], output=tmp_path / f"sheet_{name}", **three, layout="sheet")
 
 
 def test_what_an_exr_covers_in_part_is_relit_in_part(tmp_path: Path, scene: dict[str, Any]) -> None:

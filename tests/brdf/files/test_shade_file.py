@@ -13,7 +13,9 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.files import gbuffer_file
-from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_colour, read_gbuffer, write_image
+from raden_torch.brdf.files.exr_tensors import read_colour, write_image
+from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
+from raden_torch.brdf.files.gbuffer_reading import GBufferReading
 from raden_torch.brdf.files.shade_file import shade_file
 from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
@@ -90,7 +92,9 @@ def test_bands_are_the_whole_picture_bit_for_bit(tmp_path, model, name, compress
     gbuffer = read_gbuffer(tmp_path / "in.exr", **scene)
     with torch.no_grad():
         write_image(rt.shade(model, gbuffer, light), tmp_path / "whole.exr")
-    file = GBufferFile(tmp_path / "in.exr", memory=memory_for(33, len(channels)), **scene)
+    file = GBufferFile(
+        tmp_path / "in.exr", GBufferReading(**scene), memory=memory_for(33, len(channels))
+    )
     assert file.bands == [(top, min(top + 32, H)) for top in range(0, H, 32)]
     assert list(shade_file(model, file, light, tmp_path / "out.exr")) == [32, 64, 96, 128, 150]
     assert (tmp_path / "out.exr").read_bytes() == (tmp_path / "whole.exr").read_bytes()
@@ -137,7 +141,7 @@ def test_what_cannot_be_shaded_in_bands(tmp_path, model) -> None:
     with pytest.raises(
         InputError, match=r"in\.exr: expected normals, got depth alone.*more memory"
     ):
-        GBufferFile(path, fov_deg=50, memory=memory_for(32, 1))
+        GBufferFile(path, GBufferReading(fov_deg=50), memory=memory_for(32, 1))
     write_channels(path, layer("N.", "XYZ", BUMPS))
     needed = memory_for(16, 3)
     with pytest.raises(
@@ -166,12 +170,12 @@ def peak():  # of this process; ru_maxrss would begin with the parent's
         return next(1024 * int(line.split()[1]) for line in status if line.startswith("VmHWM"))
 
 model, small, large, out = map(Path, sys.argv[1:5])
-render_gbuffer_file(load_model(model), small, out)  # everything is imported, every thread runs
 ready = load_model(model)
 ready.runtime_table()  # baking it takes memory of its own
 ctypes.CDLL(None).malloc_trim(0)
 with open("/proc/self/clear_refs", "w") as mark:
     mark.write("5")  # the high-water mark begins anew
+render_gbuffer_file(ready, small, out)  # everything is imported, every thread runs
 before = peak()
 render_gbuffer_file(ready, large, out, memory=int(sys.argv[5]))
 print(peak() - before)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from raden_torch.errors import InputError
-from raden_torch.images.exr_rows import ExrRows
+from raden_torch.images.exr_file import ExrFile, Key
 
 NAMES: dict[str, tuple[str, ...]] = {
     "normal": (
@@ -24,9 +24,6 @@ nowhere as a whole may be the last part of one layer's name ("ViewLayer.Normal")
 _VECTORS = ("xyz", "rgb")
 _SCALARS = ("v", "z", "r", "y")
 
-Key = tuple[str, str]
-"""Part and channel."""
-
 
 @dataclass(frozen=True)
 class Layers:
@@ -38,13 +35,13 @@ class Layers:
         chosen: what the caller named.
     """
 
-    file: ExrRows
+    file: ExrFile
     channels: dict[str, Key]
     layers: dict[str, dict[str, str]]
     chosen: Mapping[str, str]
 
     @classmethod
-    def of(cls, file: ExrRows, chosen: Mapping[str, str] | None) -> Layers:
+    def of(cls, file: ExrFile, chosen: Mapping[str, str] | None) -> Layers:
         unknown = [name for name in chosen or {} if name not in NAMES]
         if unknown:
             raise InputError(f"channels: expected {', '.join(NAMES)}, got {unknown[0]!r}")

@@ -1,0 +1,70 @@
+"""What has to be said of a G-buffer's file beside its channels: names, camera, kinds, axes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from raden_torch.brdf.files.normal_axes import NormalAxes
+from raden_torch.brdf.shading.depth import MAX_SMOOTH_PX, depth_kind
+from raden_torch.brdf.shading.lights import Triple
+from raden_torch.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class GBufferReading:
+    """How the G-buffer in an EXR file is to be read.
+
+    The direction to the viewer is, the first that is given: `view`; from positions to `camera`; a
+    pinhole's, by `intrinsics` or `fov_deg`; (0, 0, 1), a camera at infinity that looks along −z.
+
+    Attributes:
+        channels: layers by name, `{"normal": "MyLayer", "position": …, "depth": "Z2", "mask": …}`;
+            a vector's three channels also as "nx,ny,nz". Others are found by their usual names.
+        intrinsics: `[3, 3]` pinhole matrix in pixels of the display window, y down.
+        fov_deg: instead, the horizontal angle of view around the centre, degrees, 0…180 without
+            its ends; the header's pixel aspect ratio makes it the vertical one.
+        camera: `[3]`, the viewer's position, in units of the positions, for a file with positions.
+        view: `[3]` towards a viewer at infinity, or a map `[1, 3, H, W]`; any length but 0.
+        smooth_px: standard deviation of a Gaussian over the depth before normals are made of it,
+            0…`MAX_SMOOTH_PX` pixels; depth in half precision needs several.
+        depth: what the depth is, one of `depth.KINDS`: "planar", "distance" along the pixel's ray,
+            "negative", or the renderer that wrote it. None is planar, and warns where the surface
+            indicates another.
+        xyz: the channels of the normals that hold x, y and z ("r" is the first of the three), with
+            a minus where one points the other way: "r,-g,-b" for a camera with y down, z forward.
+
+    Raises:
+        InputError: a value out of its range, or both `view` and `camera`.
+    """
+
+    channels: Mapping[str, str] | None = None
+    intrinsics: Tensor | ArrayLike | None = None
+    fov_deg: float | None = None
+    camera: Triple | None = None
+    view: Tensor | Triple | None = None
+    smooth_px: float = 0.0
+    depth: str | None = None
+    xyz: str = "r,g,b"
+
+    def __post_init__(self) -> None:
+        if self.view is not None and self.camera is not None:
+            raise InputError("view, camera: expected view or camera, got both")
+        if not 0 <= self.smooth_px <= MAX_SMOOTH_PX:
+            raise InputError(
+                f"smooth_px: expected 0…{MAX_SMOOTH_PX:g} pixels, got {self.smooth_px:g}"
+            )
+        depth_kind(self.depth or "planar")
+        NormalAxes.of(self.xyz)
+
+    @property
+    def axes(self) -> NormalAxes:
+        """What `xyz` says."""
+        return NormalAxes.of(self.xyz)
+
+
+USUAL = GBufferReading()
+"""The usual names, planar depth, a camera at infinity."""
