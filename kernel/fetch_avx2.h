@@ -25,5 +25,41 @@ inline void fetch_avx2(const Cells& cells, int i, const Table& table, float* rgb
     _mm_store_ps(rgb, _mm_fmadd_ps(_mm_broadcast_ss(&cells.far[i]), far, near));
 }
 
+inline float sum_of(__m256 v) {
+    __m128 four = _mm_add_ps(_mm256_castps256_ps128(v), _mm256_extractf128_ps(v, 1));
+    four = _mm_add_ps(four, _mm_movehl_ps(four, four));
+    return _mm_cvtss_f32(_mm_add_ss(four, _mm_movehdup_ps(four)));
+}
+
+// `visit_nodes` of vector_portable.h, six floats at once.
+inline void visit_avx2(const Table& table, long first, float* sums, const float g[3],
+                       const float at[3], float slopes[3]) {
+    const __m256i six = _mm256_setr_epi32(-1, -1, -1, -1, -1, -1, 0, 0);
+    const __m256 change = _mm256_setr_ps(g[0], g[1], g[2], g[0], g[1], g[2], 0, 0);
+    const __m256 sign = _mm256_setr_ps(-1, -1, -1, 1, 1, 1, 0, 0);
+    const __m256 low = _mm256_setr_ps(1, 1, 1, 0, 0, 0, 0, 0);
+    const __m256 into = _mm256_mul_ps(change, _mm256_fmadd_ps(_mm256_set1_ps(at[2]), sign, low));
+    const long corners[4] = {0, table.row, table.slab, table.slab + table.row};
+    const float x = at[0], y = at[1];
+    const float across[4] = {(1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y};
+    const float along_u[4] = {y - 1, -y, 1 - y, y}, along_v[4] = {x - 1, 1 - x, -x, x};
+    __m256 by_u = _mm256_setzero_ps(), by_v = by_u, by_w = by_u;
+    for (int j = 0; j < 4; ++j) {
+        const __m256 node = _mm256_maskload_ps(table.values + first + corners[j], six);
+        by_u = _mm256_fmadd_ps(_mm256_set1_ps(along_u[j]), node, by_u);
+        by_v = _mm256_fmadd_ps(_mm256_set1_ps(along_v[j]), node, by_v);
+        by_w = _mm256_fmadd_ps(_mm256_set1_ps(across[j]), node, by_w);
+        if (sums) {
+            float* to = sums + first + corners[j];
+            _mm256_maskstore_ps(
+                to, six,
+                _mm256_fmadd_ps(_mm256_set1_ps(across[j]), into, _mm256_maskload_ps(to, six)));
+        }
+    }
+    slopes[0] = sum_of(_mm256_mul_ps(by_u, into));
+    slopes[1] = sum_of(_mm256_mul_ps(by_v, into));
+    slopes[2] = sum_of(_mm256_mul_ps(by_w, _mm256_mul_ps(change, sign)));
+}
+
 }  // namespace
 }  // namespace raden

@@ -61,34 +61,6 @@ struct GradientTile : Tile<V> {
         }
     }
 
-    // The eight nodes around one pixel: the slopes of g·table along the axes, in nodes; and back
-    // into the table what the pixel's change g gives to each of them.
-    void visit(int k, const float g[3], const float at[3], float slopes[3]) const {
-        const Table& table = scene.table;
-        const long corners[4] = {0, table.row, table.slab, table.slab + table.row};
-        const long first = 3L * cells.first[k];
-        const float x = at[0], y = at[1], z = at[2];
-        const float across[4] = {(1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y};
-        float near[4], far[4], line[4];
-        for (int j = 0; j < 4; ++j) {
-            const float* p = table.values + first + corners[j];
-            near[j] = g[0] * p[0] + g[1] * p[1] + g[2] * p[2];
-            far[j] = g[0] * p[3] + g[1] * p[4] + g[2] * p[5];
-            line[j] = near[j] + z * (far[j] - near[j]);
-        }
-        const float low = line[0] + y * (line[1] - line[0]), high = line[2] + y * (line[3] - line[2]);
-        slopes[0] = high - low;
-        slopes[1] = (1 - x) * (line[1] - line[0]) + x * (line[3] - line[2]);
-        for (int j = 0; j < 4; ++j) slopes[2] += across[j] * (far[j] - near[j]);
-        if (!slice.table) return;
-        const float six[6] = {(1 - z) * g[0], (1 - z) * g[1], (1 - z) * g[2],
-                              z * g[0],       z * g[1],       z * g[2]};
-        for (int j = 0; j < 4; ++j) {
-            float* q = slice.table + first + corners[j];
-            for (int c = 0; c < 6; ++c) q[c] += across[j] * six[c];
-        }
-    }
-
     void differentiate_group(int g) {
         const Table& table = scene.table;
         const int i = g * V::lanes;
@@ -133,7 +105,7 @@ struct GradientTile : Tile<V> {
             if (lanes >> k & 1) {
                 const float gk[3] = {g_of[0][k], g_of[1][k], g_of[2][k]};
                 const float where[3] = {at[0][k], at[1][k], at[2][k]};
-                visit(i + k, gk, where, slopes);
+                visit_nodes(change[0], table, 3L * cells.first[i + k], slice.table, gk, where, slopes);
             }
             for (int c = 0; c < 3; ++c) out[c][k] = slopes[c];
         }

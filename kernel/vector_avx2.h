@@ -71,4 +71,9 @@ inline void fetch(const Avx2&, const Cells& cells, int i, const Table& table, fl
     fetch_avx2(cells, i, table, rgb);
 }
 
+inline void visit_nodes(const Avx2&, const Table& table, long first, float* sums, const float g[3],
+                        const float at[3], float slopes[3]) {
+    visit_avx2(table, first, sums, g, at, slopes);
+}
+
 }  // namespace raden

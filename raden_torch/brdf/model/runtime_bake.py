@@ -46,8 +46,9 @@ def bake(model: RadenBrdf, layout: RuntimeLayout) -> Tensor:
     table, part = model.table, model.diffuse
     if table is None and part is None:
         return torch.zeros(*layout.shape, 3, device="cpu")
-    tensor_gain = isinstance(model.diffuse_gain, Tensor) or isinstance(model.specular_gain, Tensor)
-    return (_bake if tensor_gain else torch.ops.raden_torch.bake)(
+    # the operator, which computes all once more for its gradient, is for graphs
+    form = torch.ops.raden_torch.bake if torch.compiler.is_compiling() else _bake
+    return form(
         None if table is None else table.values,
         None if part is None else part.scale,
         None if part is None else part.exponent,
@@ -198,7 +199,7 @@ def _balanced(values: Tensor) -> Tensor:
         ends = torch.zeros_like(values.narrow(axis, 0, 1))
         total = total + torch.cat([ends, second, ends], axis)
     most = _MOST_BALANCE * values.abs()
-    return values - torch.minimum(torch.maximum(total / 12, -most), most)
+    return values - torch.clamp(total / 12, -most, most)
 
 
 @torch.library.impl("raden_torch::bake", _DEVICES)
