@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import tomllib
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -27,7 +28,7 @@ from raden_torch.packages import EXTRAS, MissingPackageError, require
 PACKAGE = Path(raden_torch.__file__).parent
 PROJECT = PACKAGE.parent
 MODULES = {module: package for extra in EXTRAS.values() for module, package in extra.items()}
-CORE = {"torch", "kornia", "numpy", "scipy", "threadpoolctl", "safetensors", "typer", "rich"}
+CORE = {"torch", "kornia", "numpy", "scipy", "threadpoolctl", "safetensors", "cyclopts", "rich"}
 
 WORKS = [
     "--help",
@@ -169,7 +170,6 @@ def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_extras_are_those_of_pyproject() -> None:
-    tomllib = pytest.importorskip("tomllib", reason="Python 3.10 has no TOML reader of its own")
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
 
@@ -188,7 +188,7 @@ def test_the_extras_are_those_of_pyproject() -> None:
     }
     assert packages(extras["all"]) == set(MODULES.values())
     assert packages(extras["dev"]) >= packages(extras["all"])
-    assert packages(project["dependencies"]) == {*CORE, "tomli"}
+    assert packages(project["dependencies"]) == CORE
 
 
 def imported_extras(tree: ast.AST) -> set[str]:
