@@ -12,7 +12,7 @@ from collections.abc import Sequence
 try:
     from cyclopts import CycloptsError
 
-    from raden_torch.cli.app import app
+    from raden_torch.cli.command_table import app
     from raden_torch.cli.option_names import options_of, with_options
     from raden_torch.cli.refusals import refusal
 except KeyboardInterrupt:  # while the command starts

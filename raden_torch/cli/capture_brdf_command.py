@@ -12,18 +12,16 @@ from raden_torch.cli.capture_brdf_options import (
     WhiteOptions,
 )
 from raden_torch.cli.capture_options import DevelopmentOptions, Picture
-from raden_torch.cli.option_types import argument, output
+from raden_torch.cli.option_types import files, output
 from raden_torch.cli.status import progress, without_other_inputs
 from raden_torch.files import check_outputs
 
 
 def brdf(
-    photos: Annotated[
-        list[Path],
-        argument("photographs of the sample, one under each lamp, in the lamps' order"),
+    *photos: Annotated[
+        Path,
+        files("photographs of the sample, one under each lamp, in the lamps' order"),
     ],
-    /,
-    *,
     output: Annotated[Path, output("the .csv file to write")],
     picture: Picture = None,
     sample: SampleOptions,
@@ -41,13 +39,13 @@ def brdf(
 
     report, shown = output_paths(output, picture)
     beside = (sample.mask, white.white_mask, *reading.files)
-    photos = without_other_inputs(photos, *beside)
+    used = without_other_inputs(photos, *beside)
     files = (setup.lights, setup.camera, setup.colour, white.white_file)
-    check_outputs(output, report, shown, inputs=(*photos, *beside, *files))
+    check_outputs(output, report, shown, inputs=(*used, *beside, *files))
     place, factor = white.white(setup.colour)
     with progress("reading the photographs") as share_done:
         found = capture_brdf(
-            photos,
+            used,
             setup.setup(reading),
             sample.sample,
             place,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from cyclopts import Group, Parameter
 
 from raden_torch.cli.capture_options import DevelopmentOptions
-from raden_torch.cli.option_types import Axis, Points, Region, Triple, Whole, Wholes
+from raden_torch.cli.option_types import Axis, Points, Region, Triple
 from raden_torch.errors import InputError
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class SetupOptions:
     far away"""
     colour: Path | None = None
     """colour file of `raden capture colour`; by default the camera's own RGB is used"""
-    lamp: Wholes = ()
+    lamp: tuple[int, ...] = ()
     """number of each photograph's lamp, from 1; by default in their order"""
     lamps_stand: Literal["camera", "board"] = "camera"
     """what the lamps are fixed to: the camera, or the board while the camera moves"""
@@ -116,7 +116,7 @@ class SetupOptions:
     """photograph whose camera frame --lights is in; with --lamps-stand board"""
     lamp_std: float | None = None
     """standard deviation of the lamps' directions, degrees"""
-    stack: Whole = 1
+    stack: int = 1
     """number of files per photograph, in sequence: an exposure stack"""
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import Group, Parameter
 
 from raden_torch.cli.capture_options import Coded, DevelopmentOptions, Picture
-from raden_torch.cli.option_types import CornersPx, Squares, argument, output, switch
+from raden_torch.cli.option_types import CornersPx, Squares, files, output, switch
 from raden_torch.cli.status import progress, without_other_inputs, working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
@@ -45,9 +45,7 @@ class BoardOptions:
 
 
 def calibrate(
-    photos: Annotated[list[Path], argument("three or more photographs of a ChArUco board")],
-    /,
-    *,
+    *photos: Annotated[Path, files("three or more photographs of a ChArUco board")],
     output: Annotated[Path, output("the .json file to write")],
     board: BoardOptions,
     camera: Annotated[
@@ -65,11 +63,9 @@ def calibrate(
 
 
 def colour(
-    photos: Annotated[
-        list[Path], argument("photograph of a ColorChecker Classic; several: an exposure stack")
+    *photos: Annotated[
+        Path, files("photograph of a ColorChecker Classic; several: an exposure stack")
     ],
-    /,
-    *,
     output: Annotated[Path, output("the .json file to write")],
     edition: Annotated[
         str, Parameter(help="edition of the chart: 2014 (after November 2014) or 2005")
@@ -89,13 +85,13 @@ def colour(
     from raden_torch.capture.photo.capture_colour import capture_colour
     from raden_torch.capture.photo.checking_picture import picture_path
 
-    photos = without_other_inputs(photos, *reading.files)
+    used = without_other_inputs(photos, *reading.files)
     check_output(output, (".json",))
     shown = picture_path(picture, output)
-    check_outputs(output, shown, inputs=(*photos, *reading.files))
+    check_outputs(output, shown, inputs=(*used, *reading.files))
     with working("looking for the chart"):
         text = capture_colour(
-            photos,
+            used,
             output,
             development=reading.development(response=response),
             edition=edition,
@@ -144,11 +140,7 @@ class MattOptions:
 
 
 def lights(
-    photos: Annotated[
-        list[Path], argument("photographs of a chrome ball, one under each lamp, in order")
-    ],
-    /,
-    *,
+    *photos: Annotated[Path, files("photographs of a chrome ball, one under each lamp, in order")],
     output: Annotated[Path, output("the .json file to write")],
     mask: Annotated[
         tuple[Path, ...],
@@ -178,11 +170,11 @@ def lights(
 
     check_result_path(output)
     shown = picture_path(picture, output)
-    photos = without_other_inputs(photos, reference.reference_mask, *mask)
-    check_outputs(output, shown, inputs=(*photos, camera, *reference.files, *mask))
+    used = without_other_inputs(photos, reference.reference_mask, *mask)
+    check_outputs(output, shown, inputs=(*used, camera, *reference.files, *mask))
     with progress("finding the lamps") as share_done:
         found = capture_lights(
-            photos,
+            used,
             mask,
             camera=camera,
             ball_radius_mm=ball_radius,
@@ -190,7 +182,7 @@ def lights(
             coded=coded,
             progress=share_done,
         )
-    write_lamps(found.lamps, output, balls=found.balls, made_from=photos)
+    write_lamps(found.lamps, output, balls=found.balls, made_from=used)
     save_plot(draw_lamps(found.photos, found.balls, found.highlights, found.lamps), shown)
     print(found.lamps)
     print(f"wrote {output}\nwrote {shown} (look at it)")
@@ -219,11 +211,7 @@ class NormalsOptions:
 
 
 def normals(
-    photos: Annotated[
-        list[Path], argument("photographs of the object, one under each lamp, in order")
-    ],
-    /,
-    *,
+    *photos: Annotated[Path, files("photographs of the object, one under each lamp, in order")],
     lights: Annotated[Path, Parameter(help="lights file that `raden capture lights` wrote")],
     output: Annotated[Path, output("the folder for the maps")],
     mask: Annotated[
@@ -238,24 +226,24 @@ def normals(
 
     if output.exists() and not output.is_dir():
         raise InputError(f"{output}: expected a folder, got a file")
-    photos = without_other_inputs(photos, mask)
+    used = without_other_inputs(photos, mask)
     picture = output / "found.png"
     if output.is_dir():
-        check_outputs(*paths_in(output), picture, inputs=(*photos, lights, mask))
+        check_outputs(*paths_in(output), picture, inputs=(*used, lights, mask))
     with progress("solving normals") as share_done:
-        found = capture_normals(photos, lights, mask, progress=share_done, **asdict(how))
+        found = capture_normals(used, lights, mask, progress=share_done, **asdict(how))
     output.mkdir(parents=True, exist_ok=True)
     written = write_normals(
         found.surface,
         output,
         found.lamps,
-        photos,
+        used,
         method=how.method,
         exponent=found.exponent,
         order=found.order,
         notes=found.notes,
     )
-    save_plot(draw_normals(found.surface, found.lamps, photos, found.mask), picture)
+    save_plot(draw_normals(found.surface, found.lamps, used, found.mask), picture)
     for path in written:
         print(f"wrote {path}")
     print(f"wrote {picture} (look at it)")

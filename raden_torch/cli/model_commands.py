@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from raden_torch.cli.option_types import ModelFile, Triple, Whole, argument, output
+from raden_torch.cli.option_types import ModelFile, Triple, argument, files, output
 from raden_torch.cli.status import working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
@@ -145,9 +145,7 @@ def _scored(model: Path, readings: Path) -> str:
 
 
 def merge(
-    files: Annotated[list[Path], argument("measurements of one specimen")],
-    /,
-    *,
+    *files: Annotated[Path, files("measurements of one specimen")],
     output: Annotated[Path, output("the measurement to write, .csv")],
     robust: Annotated[
         bool,
@@ -219,7 +217,7 @@ class ExportOptions:
     """gbuffer (normal, light, view) or scene (with camera and lights)"""
     quantity: str = "radiance"
     """radiance, or brdf (f_r in 1/sr, gbuffer only)"""
-    opset: Whole = 18
+    opset: int = 18
     """version of the ONNX operator set"""
     fixed: bool = False
     """make the parameters constants: faster, but for this shell alone"""
@@ -279,7 +277,7 @@ class BenchOptions:
     """a measurement on a grid, by default the simulated shell; with --readings"""
     readings: Path | None = None
     """readings off that grid"""
-    height: Whole = 720
+    height: int = 720
     """height of the timed frame, which is 16:9"""
     compiled: bool = False
     """also run under torch.compile; needs a C++ compiler"""

@@ -27,8 +27,7 @@ def options_of(app: App, arguments: Sequence[str]) -> dict[str, str]:
         return {}
     with app.app_stack(apps):
         found = apps[-1].assemble_argument_collection(parse_docstring=False)
-    named = {a.field_info.name: a.name for a in found if a.name.startswith("--")}
-    return {f"{name}_deg": option for name, option in named.items()} | named
+    return {a.field_info.name: a.name for a in found if a.name.startswith("--")}
 
 
 def with_options(message: str, options: Mapping[str, str]) -> str:

@@ -7,9 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
-from cyclopts import Parameter
+from cyclopts import Parameter, convert
 
 if TYPE_CHECKING:
     from cyclopts import Token
@@ -24,6 +25,11 @@ Points = tuple[tuple[float, float], ...]
 def argument(text: str) -> Parameter:
     """A positional argument; `text` is its help."""
     return Parameter(help=text, allow_leading_hyphen=False)
+
+
+def files(text: str) -> Parameter:
+    """One or more files, which may stand between the options, too; `text` is their help."""
+    return Parameter(help=text, allow_leading_hyphen=False, required=True)
 
 
 def output(text: str) -> Parameter:
@@ -43,19 +49,32 @@ def _read(read: Callable[[str], Any], like: str, **more: Any) -> Parameter:
         like: how help shows the value.
     """
 
-    def convert(_: object, tokens: Sequence[Token]) -> Any:
+    def read_tokens(_: object, tokens: Sequence[Token]) -> Any:
         return read(tokens[0].value)
 
-    return Parameter(converter=convert, n_tokens=1, accepts_keys=False, metavar=like, **more)
+    return Parameter(converter=read_tokens, n_tokens=1, accepts_keys=False, metavar=like, **more)
 
 
 def _read_all(read: Callable[[str], Any], like: str) -> Parameter:
     """As `_read`, of an option that may be repeated."""
 
-    def convert(_: object, tokens: Sequence[Token]) -> Any:
+    def read_tokens(_: object, tokens: Sequence[Token]) -> Any:
         return tuple(read(token.value) for token in tokens)
 
-    return Parameter(converter=convert, n_tokens=1, accepts_keys=False, metavar=like)
+    return Parameter(converter=read_tokens, n_tokens=1, accepts_keys=False, metavar=like)
+
+
+def read_value(wanted: Any, tokens: Sequence[Token]) -> Any:
+    """What tokens stand for where an option says nothing else: numbers strictly, the rest by
+    cyclopts, which would take 3.5 for a whole number and "none" for a number that is not given."""
+    readers = {int: _whole, float: number}
+    if NoneType in get_args(wanted):
+        wanted = next(part for part in get_args(wanted) if part is not NoneType)
+    if wanted in readers:
+        return readers[wanted](tokens[0].value)
+    if get_origin(wanted) is tuple and get_args(wanted)[0] in readers:
+        return tuple(readers[get_args(wanted)[0]](token.value) for token in tokens)
+    return convert(wanted, tokens)
 
 
 def _whole(text: str) -> int:
@@ -180,7 +199,6 @@ def _lamp_or_file(text: str) -> tuple[float, float, float] | Path:
     return Path(text) if text.endswith(".json") else _triple(text)
 
 
-Whole = Annotated[int, _read(_whole, "INT")]
 Triple = Annotated[tuple[float, float, float], _read(_triple, "X,Y,Z")]
 Stops = Annotated[float | None, _read(_stops, "STOPS", show_default=lambda stops: stops or "auto")]
 Bytes = Annotated[int, _read(_bytes, "SIZE", show_default=lambda size: f"{size >> 30}G")]
@@ -190,7 +208,6 @@ CornersPx = Annotated[Points, _read(_corners_px, "POINTS")]
 Region = Annotated[Points, _read(_region, "POINTS")]
 Axis = Annotated[Points, _read(_axis, "POINTS")]
 LampOrFile = Annotated[tuple[float, float, float] | Path, _read(_lamp_or_file, "X,Y,Z|FILE")]
-Wholes = Annotated[tuple[int, ...], _read_all(_whole, "INT")]
 Lamps = Annotated[tuple[LampOption, ...], _read_all(LampOption.read, "X,Y,Z")]
 Pairs = Annotated[tuple[tuple[str, str], ...], _read_all(_pair, "NAME=VALUE")]
 

@@ -16,8 +16,7 @@ from raden_torch.cli.option_types import (
     ModelFile,
     Stops,
     Triple,
-    Whole,
-    argument,
+    files,
     output,
 )
 from raden_torch.cli.picture_options import ExrOptions, GBufferOptions
@@ -39,9 +38,9 @@ class ShapeOptions:
     """what to show: sphere, or plate (black urushi with a motif)"""
     camera: Triple | None = None
     """the camera's position x,y,z; y is up"""
-    size: Whole = 512
+    size: int = 512
     """width and height in pixels"""
-    samples: Whole = 2
+    samples: int = 2
     """rays per pixel along each side"""
 
 
@@ -122,9 +121,9 @@ class RelightOptions:
     """mask of what to relight, with a soft edge; by default wherever there are normals"""
     light: Lamps = ()
     """x,y,z towards a lamp at infinity; may be repeated"""
-    strip: Whole | None = None
+    strip: int | None = None
     """instead of --light: this many lamps in a ring, side by side"""
-    sheet: Whole | None = None
+    sheet: int | None = None
     """instead of --light: this many lamps in a ring, as a contact sheet"""
     elevation_deg: float = 40.0
     """elevation of the ring of lamps above the image plane, degrees"""
@@ -146,19 +145,17 @@ class RelightOptions:
 
 
 def relight(
-    photos: Annotated[list[Path], argument("one or more photographs of one size")],
-    /,
-    *,
+    *photos: Annotated[Path, files("one or more photographs of one size")],
     output: Annotated[Path, output("the image to write; a folder for several")],
     how: RelightOptions,
     reading: ExrOptions = ExrOptions(),
 ) -> None:
     from raden_torch.pictures import relight_files
 
-    photos = without_other_inputs(photos, how.normals, how.mask, how.model)
+    used = without_other_inputs(photos, how.normals, how.mask, how.model)
     with working("relighting"):
         written = relight_files(
-            photos,
+            used,
             how.normals,
             how.mask,
             how.model,
@@ -180,7 +177,7 @@ def relight(
 def demo(
     *,
     out: Annotated[Path, Parameter(help="the folder for the gallery")] = Path("demo"),
-    size: Annotated[Whole, Parameter(help="image size in pixels")] = 512,
+    size: Annotated[int, Parameter(help="image size in pixels")] = 512,
 ) -> None:
     require("the demo's pictures", "images", "plots", "export")
     from raden_torch.demo import run_demo

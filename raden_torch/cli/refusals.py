@@ -19,18 +19,20 @@ _KINDS = {int: "a whole number", float: "a number", bool: "true or false"}
 
 def refusal(error: CycloptsError) -> str:
     """The line for an error that reading the arguments raised."""
-    command = " ".join(("raden", *(error.command_chain or ())))
+    command = " ".join(error.command_chain or ())
+    help_command = f"`raden {command} -h`" if command else "`raden -h`"
     if isinstance(error, UnknownOptionError):
         word = error.token.keyword or error.token.value
         names = [name for argument in error.argument_collection for name in argument.names]
-        return f"{word}: no such option{_nearest(word, names)}; `{command} -h` lists them"
+        return f"{word}: no such option{_nearest(word, names)}; {help_command} lists them"
     if isinstance(error, UnknownCommandError):
         word, names = (error.unused_tokens or [""])[0], list(error.app or ())
-        return f"{word}: no such command{_nearest(word, names)}; `{command} -h` lists them"
+        kind = "option" if word.startswith("-") else "command"
+        return f"{word}: no such {kind}{_nearest(word, names)}; {help_command} lists them"
     if isinstance(error, MissingArgumentError) and error.argument is not None:
         if error.keyword is not None:
             return f"{error.keyword}: expected a value, got none"
-        return f"{error.argument.name}: missing; `{command} -h` says what it is"
+        return f"{command}: {error.argument.name} is missing; {help_command} says what it is"
     if isinstance(error, CoercionError) and error.argument is not None:
         name = error.token.keyword if error.token else None
         given = error.token.value if error.token else "something else"
@@ -42,7 +44,7 @@ def refusal(error: CycloptsError) -> str:
 
 
 def _nearest(word: str, names: list[str]) -> str:
-    found = get_close_matches(word.partition("=")[0], names, n=1)
+    found = get_close_matches(word.partition("=")[0], names, n=1, cutoff=0.7)
     return f", did you mean {found[0]}?" if found else ""
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Group, Parameter
 
 from raden_torch.capture.spectrometer.plan_choice import PlanChoice
-from raden_torch.cli.option_types import Limits, Pairs, Triple, Whole, number
+from raden_torch.cli.option_types import Limits, Pairs, Triple, number
 from raden_torch.cli.status import working
 from raden_torch.errors import InputError
 
@@ -86,15 +86,12 @@ class RigOptions:
 @Parameter(name="*", group=Group("The plan", sort_key=3))
 @dataclass(frozen=True)
 class PlanOptions(PlanChoice):
-    """The library's `PlanChoice`; here is how its fields are read from text."""
+    """The library's `PlanChoice`; here is only what text does not say by itself."""
 
     kind: Annotated[str | None, Parameter(name="--plan")] = None
     incidence: Limits | None = None
     receiving: Limits | None = None
     tilt: Limits | None = None
-    readings: Whole | None = None
-    repeats: Whole | None = None
-    seed: Whole = 0
 
 
 @Parameter(name="*", group=Group("Dark and white readings", sort_key=4))
@@ -104,7 +101,7 @@ class ReferenceOptions:
 
     white_every: float | None = None
     """interval between dark and white readings, minutes; default 10"""
-    white_readings: Whole | None = None
+    white_readings: int | None = None
     """number of dark and of white readings each time; default 5"""
 
     @property

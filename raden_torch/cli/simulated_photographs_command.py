@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from raden_torch.cli.option_types import Whole, output
+from raden_torch.cli.option_types import output
 from raden_torch.cli.status import progress
 from raden_torch.packages import require
 
@@ -23,19 +23,19 @@ class SimulationOptions:
     (.csv)"""
     shape: Literal["sphere", "plane"] = "sphere"
     """shape of the specimen"""
-    lamps: Whole = 29
+    lamps: int = 29
     """number of lamps, one per photograph"""
-    views: Whole = 6
+    views: int = 6
     """number of camera positions, for a plane"""
     near: bool = False
     """place the lamps at about 1 m instead of far away"""
-    width: Whole = 1200
+    width: int = 1200
     """width of a photograph, pixels; its height is 2/3 of that"""
-    bits: Whole = 14
+    bits: int = 14
     """bits of the camera; 8 makes 8-bit files"""
-    stack: Whole = 1
+    stack: int = 1
     """exposures per photograph, each 4 times longer than the last"""
-    seed: Whole = 0
+    seed: int = 0
     """seed of the noise and of the positions"""
     variant: Literal["scalar_rgb", "llvm_ad_rgb"] = "scalar_rgb"
     """variant of Mitsuba"""

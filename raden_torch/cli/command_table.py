@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from cyclopts import App, Group, Parameter
 
 from raden_torch.cli.option_names import option_name
+from raden_torch.cli.option_types import read_value
 
 if TYPE_CHECKING:
     from cyclopts.help import DefaultFormatter, HelpPanel
@@ -62,6 +63,9 @@ app = App(
     default_parameter=Parameter(
         name_transform=option_name,
         negative=(),
+        converter=read_value,
+        json_dict=False,
+        json_list=False,
         show_default=_shown_default,
         allow_leading_hyphen=True,  # --light -1,0,1
         allow_repeating=True,  # the last one counts, or all of them where the option is a list
