@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from cyclopts import Group, Parameter
 
-from raden_torch.cli.capture_options import DevelopmentOptions
+from raden_torch.cli.capture_options import DevelopmentOptions, LightsFile
 from raden_torch.cli.option_types import Axis, Points, Region, Triple
 from raden_torch.errors import InputError
 
@@ -101,8 +101,7 @@ class WhiteOptions:
 class SetupOptions:
     """The files of the earlier steps, and how the photographs were taken."""
 
-    lights: Path
-    """lights file that `raden capture lights` wrote"""
+    lights: LightsFile
     camera: Path | None = None
     """camera file of `raden capture calibrate`, with the board's poses; by default the camera is
     far away"""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from raden_torch.cli.capture_options import Coded, DevelopmentOptions, Picture
+from raden_torch.cli.capture_options import Coded, DevelopmentOptions, LightsFile, Picture
 from raden_torch.cli.option_types import CornersPx, Squares, files, output, switch
 from raden_torch.cli.status import progress, without_other_inputs, working
 from raden_torch.errors import InputError
@@ -212,7 +212,7 @@ class NormalsOptions:
 
 def normals(
     *photos: Annotated[Path, files("photographs of the object, one under each lamp, in order")],
-    lights: Annotated[Path, Parameter(help="lights file that `raden capture lights` wrote")],
+    lights: LightsFile,
     output: Annotated[Path, output("the folder for the maps")],
     mask: Annotated[
         Path | None, Parameter(help="mask, white on the object; by default everything")

@@ -11,6 +11,7 @@ from cyclopts import Group, Parameter
 if TYPE_CHECKING:
     from raden_torch.capture.photo.development import Development
 
+LightsFile = Annotated[Path, Parameter(help="lights file that `raden capture lights` wrote")]
 Picture = Annotated[
     Path | None,
     Parameter(help="image of what was found, for checking; by default beside the result, as .png"),

@@ -86,17 +86,17 @@ _COMMANDS = (
         "raden fit shell.csv -o shell.safetensors",
     ),
     (
-        "model_commands:info",
+        "file_commands:info",
         "Say what a file holds; compare two measurements; score a model on other readings.",
         "raden info scan.csv photographs.csv",
     ),
     (
-        "model_commands:merge",
+        "file_commands:merge",
         "Make one measurement of several, each reading weighed by its uncertainty.",
         "raden merge scan.csv photographs.csv -o shell.csv",
     ),
     (
-        "model_commands:plot",
+        "file_commands:plot",
         "Draw the paper's graphs of a measurement or a model; or where two measurements differ.",
         "raden plot shell.csv -o graphs.png --figure 5 --figure 9",
     ),

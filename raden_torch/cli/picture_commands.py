@@ -115,8 +115,7 @@ class RelightOptions:
 
     normals: Path
     """normal map: PNG (8 or 16 bits), TIFF; EXR, also with depth"""
-    model: Path
-    """a model that `raden fit` wrote"""
+    model: ModelFile
     mask: Path | None = None
     """mask of what to relight, with a soft edge; by default wherever there are normals"""
     light: Lamps = ()
