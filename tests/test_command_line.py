@@ -103,6 +103,20 @@ def test_help_imports_nothing_heavy(words: tuple[str, ...]) -> None:
     assert done.stdout.endswith("\n[]\n")
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full disk to write to")
+@pytest.mark.parametrize("words", [("--help",), ("fit", "-h"), ("--version",)])
+def test_help_onto_a_full_disk(words: tuple[str, ...]) -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "raden_torch.cli", *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    assert done.returncode == 2
+    assert done.stderr == "raden: output: No space left on device\n"
+
+
 BRDF = ("capture", "brdf", "--lights", "l.json", "--shape", "sphere", "-o", "x.csv")
 CALIBRATE = ("capture", "calibrate", "a.png", "--square", "1", "--marker", "0.5", "-o", "x.json")
 RELIGHT = ("relight", "p.png", "--normals", "n.png", "--model", "m", "-o", "x.png")

@@ -33,6 +33,9 @@ CORE = {"torch", "kornia", "numpy", "scipy", "threadpoolctl", "safetensors", "cy
 WORKS = [
     "--help",
     "--version",
+    "capture brdf --help",
+    "capture simulate --help",
+    "scan --help",
     "info --system",
     "info {folder}/shell.csv",
     "info {shell} --against {folder}/shell.csv",

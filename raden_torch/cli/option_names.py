@@ -22,7 +22,8 @@ def option_name(field: str) -> str:
 
 def options_of(app: App, arguments: Sequence[str]) -> dict[str, str]:
     """Field → option of the subcommand that the arguments run, as assume → --assume."""
-    _, apps, _ = app.parse_commands(arguments)
+    words = [word for word in arguments if not word.startswith("-")]  # --help is a command, too
+    _, apps, _ = app.parse_commands(words)
     if apps[-1].default_command is None:
         return {}
     with app.app_stack(apps):
