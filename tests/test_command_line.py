@@ -198,10 +198,10 @@ def test_values_stand_for_themselves() -> None:
         ((-1.0, 0.0, 1.0), False),
         ((1.0, 2.0, 3.0), True),
     ]
-    reading = parsed("render", "m", "--normal-xyz", "-r,g,b", "--memory", "1.5G", "--fov", "-3")[
-        "reading"
-    ]
-    assert (reading.normal_xyz, reading.memory, reading.fov_deg) == ("-r,g,b", 3 << 29, -3.0)
+    words = ("--normal-xyz", "-r,g,b", "--memory", "1.5G", "--fov", "-3", "--channel", "normal=N")
+    exr = parsed("render", "m", *words)["exr"]
+    assert (exr.xyz, exr.memory, exr.fov_deg) == ("-r,g,b", 3 << 29, -3.0)
+    assert exr.reading["channels"] == {"normal": "N"}
     assert parsed("render", "m", "--exposure", "auto")["exposure"] is None
     assert parsed("render", "m", "--exposure", "-1.5")["exposure"] == -1.5
     assert parsed("demo", "--size", "64", "--size", "32") == {"size": 32}  # the last one counts

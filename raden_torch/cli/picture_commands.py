@@ -26,6 +26,9 @@ from raden_torch.files import check_output
 from raden_torch.packages import require
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
+    from raden_torch.brdf.model.model import RadenBrdf
     from raden_torch.brdf.shading.lights import Light
 
 
@@ -42,6 +45,14 @@ class ShapeOptions:
     """width and height in pixels"""
     samples: int = 2
     """rays per pixel along each side"""
+
+    def image(self, model: RadenBrdf, lights: Sequence[Light]) -> Tensor:
+        """`[1, 3, size, size]` scene-linear RGB."""
+        from raden_torch.pictures import render_shape
+
+        return render_shape(
+            model, self.shape, lights, camera=self.camera, size=self.size, samples=self.samples
+        )
 
 
 def render(
@@ -60,16 +71,11 @@ def render(
     gbuffer: Annotated[
         Path | None, Parameter(help="an EXR with normals or depth to light, instead of a shape")
     ] = None,
-    reading: GBufferOptions = GBufferOptions(),
+    exr: GBufferOptions = GBufferOptions(),
 ) -> None:
     from raden_torch.brdf.files.display import PICTURE_SUFFIXES, check_picture_path
     from raden_torch.brdf.files.model_file import load_model
-    from raden_torch.pictures import (
-        render_gbuffer,
-        render_gbuffer_file,
-        render_shape,
-        save_picture,
-    )
+    from raden_torch.pictures import render_gbuffer, render_gbuffer_file, save_picture
 
     check_picture_path(output, (*PICTURE_SUFFIXES, ".exr"))
     check_output(output, inputs=(model, gbuffer))
@@ -82,24 +88,20 @@ def render(
                 output,
                 lights,
                 exposure_ev=exposure,
-                memory=reading.memory,
+                tolerance=exr.tolerance,
+                memory=exr.memory,
                 shown=shown,
-                **reading.arguments,
+                **exr.reading,
             )
     else:
         with working("rendering"):
             loaded = load_model(model)
             if gbuffer is None:
-                image = render_shape(
-                    loaded,
-                    shape.shape,
-                    lights,
-                    camera=shape.camera,
-                    size=shape.size,
-                    samples=shape.samples,
-                )
+                image = shape.image(loaded, lights)
             else:
-                image = render_gbuffer(loaded, gbuffer, lights, **reading.arguments)
+                image = render_gbuffer(
+                    loaded, gbuffer, lights, tolerance=exr.tolerance, **exr.reading
+                )
             used = save_picture(image, output, loaded, exposure_ev=exposure)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
 
@@ -147,7 +149,7 @@ def relight(
     *photos: Annotated[Path, files("one or more photographs of one size")],
     output: Annotated[Path, output("the image to write; a folder for several")],
     how: RelightOptions,
-    reading: ExrOptions = ExrOptions(),
+    exr: ExrOptions = ExrOptions(),
 ) -> None:
     from raden_torch.pictures import relight_files
 
@@ -167,7 +169,7 @@ def relight(
             elevation_deg=how.elevation_deg,
             green=how.green,
             exposure_ev=how.exposure_ev,
-            **reading.arguments,
+            **exr.reading,
         )
     for path in written:
         print(f"wrote {path}")

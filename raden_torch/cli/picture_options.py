@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 from cyclopts import Group, Parameter
 
@@ -15,7 +15,7 @@ _EXR_FILES = Group("EXR files", sort_key=2)
 @Parameter(name="*", group=_EXR_FILES)
 @dataclass(frozen=True)
 class ExrOptions:
-    """What an EXR's depth and normals are."""
+    """What an EXR's depth and normals are: fields are named as the library's readers name them."""
 
     fov_deg: float | None = None
     """horizontal field of view of the camera of an EXR with depth, degrees"""
@@ -23,14 +23,14 @@ class ExrOptions:
     """what the depth of the EXR is: planar (along the camera's axis), distance (along the pixel's
     ray), negative (z of a camera that looks along −z), or by renderer: blender, karma, mitsuba;
     planar unless stated"""
-    normal_xyz: str = "r,g,b"
+    xyz: Annotated[str, Parameter(name="--normal-xyz")] = "r,g,b"
     """the normals' channels that hold x,y,z (right, up, to the viewer), with a minus where one
     points the other way: b,g,r or =r,-g,-b"""
 
     @property
-    def arguments(self) -> dict[str, Any]:
-        """What the library's readers of EXRs are called with."""
-        return {"fov_deg": self.fov_deg, "depth": self.depth, "xyz": self.normal_xyz}
+    def reading(self) -> dict[str, Any]:
+        """The keyword arguments of a reader."""
+        return {"fov_deg": self.fov_deg, "depth": self.depth, "xyz": self.xyz}
 
 
 @Parameter(name="*", group=_EXR_FILES)
@@ -38,7 +38,7 @@ class ExrOptions:
 class GBufferOptions(ExrOptions):
     """How an EXR is read as a G-buffer, and lit."""
 
-    channel: Pairs = ()
+    channels: Annotated[Pairs, Parameter(name="--channel")] = ()
     """channels of the EXR, as normal=N or depth=Z; may be repeated"""
     smooth_px: float = 0.0
     """smooth the EXR's depth over this many pixels"""
@@ -48,10 +48,6 @@ class GBufferOptions(ExrOptions):
     """for an EXR lit into an .exr: shade it in bands within this much memory"""
 
     @property
-    def arguments(self) -> dict[str, Any]:
-        return {
-            **super().arguments,
-            "channels": dict(self.channel),
-            "smooth_px": self.smooth_px,
-            "tolerance": self.tolerance,
-        }
+    def reading(self) -> dict[str, Any]:
+        channels = dict(self.channels)
+        return {**super().reading, "channels": channels, "smooth_px": self.smooth_px}
