@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 _CLEANING_UP_S = 10.0
+_IMPORTING_S = 10.0
+_AGAIN_S = 0.05
 
 
 class Interrupted(BaseException):
@@ -23,15 +26,23 @@ class Interrupted(BaseException):
 def signals_interrupt() -> Iterator[None]:
     """SIGINT, SIGTERM and SIGHUP raise `Interrupted` in the block.
 
-    A second one counts after 10 seconds: what follows the first is cleaning up, or stopping a
-    stage. An error after it is its consequence, as where a library's import swallows it. A signal
-    that the process was told to ignore (`nohup`) stays ignored.
+    While modules are imported it waits for their end, at most 10 seconds: an exception that passes
+    through a library's C++ ends the process. A second one counts after 10 seconds: what follows
+    the first is cleaning up, or stopping a stage. An error after it is its consequence, as where a
+    library's import swallows it. A signal that the process was told to ignore (`nohup`) stays
+    ignored.
     """
-    raised_at, raised = -_CLEANING_UP_S, 0
+    raised_at, raised, first = -_CLEANING_UP_S, 0, 0.0
 
     def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal raised_at, raised
+        nonlocal raised_at, raised, first
         now = time.monotonic()
+        first = first or now
+        if _imports(frame) and now - first < _IMPORTING_S:
+            again = threading.Timer(_AGAIN_S, _to_main_thread, (number,))
+            again.daemon = True
+            again.start()
+            return
         if now - raised_at >= _CLEANING_UP_S:
             raised_at, raised = now, number
             raise Interrupted(number)
@@ -49,6 +60,23 @@ def signals_interrupt() -> Iterator[None]:
     finally:
         for number, handler in caught.items():
             signal.signal(number, handler)
+
+
+def _to_main_thread(number: int) -> None:
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, number)  # which wakes it, too
+    else:
+        signal.raise_signal(number)
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Whether this is part of an import."""
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
 
 
 def ignore_signals() -> None:

@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import zipfile
 from importlib import metadata
@@ -28,11 +29,14 @@ PACKAGE = Path(raden_torch.__file__).parent
 PROJECT = PACKAGE.parent
 MODULES = {module: package for extra in EXTRAS.values() for module, package in extra.items()}
 CORE = {"torch", "kornia", "numpy", "scipy", "threadpoolctl", "safetensors", "msgspec"}
-CORE |= {"typer", "rich"}
+CORE |= {"cyclopts", "rich"}
 
 WORKS = [
     "--help",
     "--version",
+    "capture brdf --help",
+    "capture simulate --help",
+    "scan --help",
     "info --system",
     "info {folder}/shell.csv",
     "info {shell} --against {folder}/shell.csv",
@@ -170,7 +174,6 @@ def test_only_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_extras_are_those_of_pyproject() -> None:
-    tomllib = pytest.importorskip("tomllib", reason="Python 3.10 has no TOML reader of its own")
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
 
@@ -189,7 +192,7 @@ def test_the_extras_are_those_of_pyproject() -> None:
     }
     assert packages(extras["all"]) == set(MODULES.values())
     assert packages(extras["dev"]) >= packages(extras["all"])
-    assert packages(project["dependencies"]) == {*CORE, "tomli"}
+    assert packages(project["dependencies"]) == CORE
 
 
 def imported_extras(tree: ast.AST) -> set[str]:

@@ -7,18 +7,14 @@ import io
 import signal
 import sys
 import warnings
+from collections.abc import Sequence
 
 try:
-    from raden_torch.cli import (  # noqa: F401 - importing them adds their subcommands
-        capture_brdf_command,
-        capture_commands,
-        model_commands,
-        picture_commands,
-        scan_command,
-        simulated_photographs_command,
-    )
-    from raden_torch.cli.common import app
+    from cyclopts import CycloptsError
+
+    from raden_torch.cli.command_table import app
     from raden_torch.cli.option_names import options_of, with_options
+    from raden_torch.cli.refusals import refusal
 except KeyboardInterrupt:  # while the command starts
     sys.exit(128 + signal.SIGINT)
 from raden_torch.errors import InputError
@@ -37,7 +33,9 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with signals_interrupt():
-            app()
+            run(sys.argv[1:])
+    except CycloptsError as error:
+        _fail(refusal(error))
     except Interrupted as error:
         print(f"raden: stopped by {error}", file=sys.stderr)
         sys.exit(error.exit_code)
@@ -55,6 +53,21 @@ def main() -> None:
         _fail(_NO_MEMORY)
     finally:
         atexit.register(ignore_signals)
+    sys.exit(0)
+
+
+def run(arguments: Sequence[str]) -> None:
+    """Run a subcommand; where none is named, show those there are and exit with 2.
+
+    Raises:
+        CycloptsError: the arguments are none of its.
+    """
+    _, apps, rest = app.parse_commands(arguments)
+    if apps[-1].default_command is None and not rest:
+        app.help_print(arguments)
+        sys.exit(2)
+    command, given, _ = app.parse_args(arguments)
+    command(*given.args, **given.kwargs)
 
 
 def _print_warning(message: Warning | str, *_: object, **__: object) -> None:

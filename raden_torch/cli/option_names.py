@@ -1,27 +1,34 @@
-"""Messages of the library name its parameters; here they become the running command's options."""
+"""Fields of dataclasses as options: `step_deg` is --step, also in the library's messages."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
-import typer.main
+from cyclopts import default_name_transform
 
+if TYPE_CHECKING:
+    from cyclopts import App
+
+_UNIT = re.compile(r"_(deg|px|mm|s|ev)$")
 _PARAMETER = re.compile(r"`(\w+)(?:=\"?([^`\"]*)\"?)?`")
 
 
-def options_of(app: typer.Typer, arguments: Sequence[str]) -> dict[str, str]:
-    """Parameter → option of the subcommand that the arguments run, as assume → --assume.
+def option_name(field: str) -> str:
+    """The option without its hyphens; the unit that ends a field's name stands in the help."""
+    return default_name_transform(_UNIT.sub("", field))
 
-    An angle's option may lack the unit that the parameter's name ends in: step_deg → --step.
-    """
-    command: Any = typer.main.get_command(app)
-    for word in arguments:
-        command = getattr(command, "commands", {}).get(word, command)
-    longest = {p.name: max(p.opts, key=len) for p in command.params}
-    names = {name: option for name, option in longest.items() if option.startswith("--")}
-    return {f"{name}_deg": option for name, option in names.items()} | names
+
+def options_of(app: App, arguments: Sequence[str]) -> dict[str, str]:
+    """Field → option of the subcommand that the arguments run, as assume → --assume."""
+    words = [word for word in arguments if not word.startswith("-")]  # --help is a command, too
+    _, apps, _ = app.parse_commands(words)
+    if apps[-1].default_command is None:
+        return {}
+    with app.app_stack(apps):
+        found = apps[-1].assemble_argument_collection(parse_docstring=False)
+    return {a.field_info.name: a.name for a in found if a.name.startswith("--")}
 
 
 def with_options(message: str, options: Mapping[str, str]) -> str:

@@ -2,75 +2,55 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
-import typer
+from cyclopts import Parameter
 
-from raden_torch.cli.capture_commands import capture
-from raden_torch.cli.common import progress
+from raden_torch.cli.option_types import output
+from raden_torch.cli.status import progress
 from raden_torch.packages import require
 
 
-class Variant(str, Enum):
-    """Of Mitsuba."""
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SimulationOptions:
+    """What is photographed, and how: the fields of the library's `Options`."""
 
-    scalar = "scalar_rgb"
-    llvm = "llvm_ad_rgb"
+    material: str = "yakogai"
+    """yakogai, abalone, akoya, rough-plastic, rough-conductor, clear-coat, white, or a measurement
+    (.csv)"""
+    shape: Literal["sphere", "plane"] = "sphere"
+    """shape of the specimen"""
+    lamps: int = 29
+    """number of lamps, one per photograph"""
+    views: int = 6
+    """number of camera positions, for a plane"""
+    near: bool = False
+    """place the lamps at about 1 m instead of far away"""
+    width: int = 1200
+    """width of a photograph, pixels; its height is 2/3 of that"""
+    bits: int = 14
+    """bits of the camera; 8 makes 8-bit files"""
+    stack: int = 1
+    """exposures per photograph, each 4 times longer than the last"""
+    seed: int = 0
+    """seed of the noise and of the positions"""
+    variant: Literal["scalar_rgb", "llvm_ad_rgb"] = "scalar_rgb"
+    """variant of Mitsuba"""
 
 
-class Specimen(str, Enum):
-    """Shapes of a specimen."""
-
-    sphere = "sphere"
-    plane = "plane"
-
-
-@capture.command(epilog="Example: raden capture simulate --material yakogai -o photographs")
 def simulate(
-    output: Annotated[Path, typer.Option("--output", "-o", help="the folder to make")],
-    material: Annotated[
-        str,
-        typer.Option(
-            help="yakogai, abalone, akoya, rough-plastic, rough-conductor, clear-coat, white, "
-            "or a measurement (.csv)"
-        ),
-    ] = "yakogai",
-    shape: Annotated[Specimen, typer.Option(help="shape of the specimen")] = Specimen.sphere,
-    lamps: Annotated[int, typer.Option(help="number of lamps, one per photograph")] = 29,
-    views: Annotated[int, typer.Option(help="number of camera positions, for a plane")] = 6,
-    near: Annotated[
-        bool, typer.Option("--near", help="place the lamps at about 1 m instead of far away")
-    ] = False,
-    width: Annotated[
-        int, typer.Option(help="width of a photograph, pixels; its height is 2/3 of that")
-    ] = 1200,
-    bits: Annotated[int, typer.Option(help="bits of the camera; 8 makes 8-bit files")] = 14,
-    stack: Annotated[
-        int, typer.Option(help="exposures per photograph, each 4 times longer than the last")
-    ] = 1,
-    seed: Annotated[int, typer.Option(help="seed of the noise and of the positions")] = 0,
-    variant: Annotated[Variant, typer.Option(help="variant of Mitsuba")] = Variant.scalar,
+    *,
+    output: Annotated[Path, output("the folder to make")],
+    what: SimulationOptions = SimulationOptions(),
 ) -> None:
-    """Photograph a simulated specimen by Mitsuba 3, with everything that is true of it beside."""
     require("simulated photographs", "simulate")
     from raden_torch.capture.photo.simulation.simulate import Options, simulate_photographs
 
-    options = Options(
-        material,
-        shape.value,
-        lamps=lamps,
-        views=views,
-        near=near,
-        width=width,
-        bits=bits,
-        stack=stack,
-        seed=seed,
-        variant=variant.value,
-    )
     with progress("rendering simulated photographs") as share_done:
-        next_steps = simulate_photographs(output, options, progress=share_done)
+        next_steps = simulate_photographs(output, Options(**asdict(what)), progress=share_done)
     print(
         f"wrote {output}: simulated photographs and truth.json. What makes a measurement of them:"
     )

@@ -24,7 +24,7 @@ class Scales:
 def aligned_scales(stack: Stack, common: list[SystematicErrors]) -> Scales:
     """Gauss–Newton on z; the cells' means are eliminated in each round."""
     effect, sources = _effects(common), len(common)
-    z = np.zeros(effect.shape[1])
+    z: Floats = np.zeros(effect.shape[1])
     for _ in range(_ROUNDS):
         values, weight = stack.rescaled(effect @ z)
         mean = stack.total(values * weight) / stack.total(weight)
@@ -32,7 +32,8 @@ def aligned_scales(stack: Stack, common: list[SystematicErrors]) -> Scales:
         right = np.bincount(stack.source, pull, sources)
         normal = effect.T @ _information(stack, mean, weight, sources) @ effect
         system = np.eye(len(z)) + normal
-        before, z = z, np.linalg.solve(system, effect.T @ right + normal @ z)
+        before = z
+        z = np.asarray(np.linalg.solve(system, effect.T @ right + normal @ z), np.float64)
         if abs(z - before).max(initial=0.0) < _SETTLED:
             break
     share = np.bincount(stack.source, (weight * mean[stack.cell] ** 2).sum(axis=1), sources)

@@ -263,13 +263,13 @@ def test_a_process_ends_as_the_command_does_in_this_one(
 def test_what_a_library_in_c_writes_is_caught_too(
     raden: Command, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def app() -> None:
+    def run(arguments: list[str]) -> None:
         os.write(2, b"a library\n")
         print("and Python", file=sys.stderr)
         print("on stdout")
         sys.exit(3)
 
-    monkeypatch.setattr("raden_torch.cli.app", app)
+    monkeypatch.setattr("raden_torch.cli.run", run)
     done = raden("info")
     assert (done.returncode, done.stdout) == (3, "on stdout\n")
     assert done.stderr == "a library\nand Python\n"

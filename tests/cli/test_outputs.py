@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 import raden_torch as rt
-from raden_torch.cli.common import app, without_other_inputs
+from raden_torch.cli.status import without_other_inputs
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs, written_beside
 from raden_torch.images.exr import write_channels
+
+Command = Callable[..., subprocess.CompletedProcess[str]]
 
 
 @pytest.fixture(scope="module")
@@ -39,16 +42,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def refused(folder: Path, *words: str) -> str:
+@pytest.fixture
+def refused(raden: Command, folder: Path) -> Callable[..., str]:
     """The one line with which a command refuses; its inputs are as they were."""
-    before = {p: p.read_bytes() for p in folder.iterdir()}
-    here = [str(folder / w) if (folder / w).exists() or "." in w[1:] else w for w in words]
-    result = CliRunner().invoke(app, here)
-    assert isinstance(result.exception, InputError), result.output
-    assert {p: p.read_bytes() for p in folder.iterdir()} == before
-    message = str(result.exception)
-    assert "\n" not in message
-    return message
+
+    def line(*words: str) -> str:
+        before = {p: p.read_bytes() for p in folder.iterdir()}
+        here = [str(folder / w) if (folder / w).exists() or "." in w[1:] else w for w in words]
+        done = raden(*here)
+        assert done.returncode == 2, done.stderr
+        assert {p: p.read_bytes() for p in folder.iterdir()} == before
+        assert done.stderr.count("\n") == 1
+        return done.stderr
+
+    return line
 
 
 RELIGHT = ("relight", "photo.png", "--normals", "normals.png", "--model", "m.safetensors")
@@ -69,8 +76,8 @@ RELIGHT = ("relight", "photo.png", "--normals", "normals.png", "--model", "m.saf
         (*RELIGHT, "--mask", "mask.png", "-o", "mask.png"),
     ],
 )
-def test_an_input_is_never_overwritten(folder: Path, words: tuple[str, ...]) -> None:
-    assert "is also an input" in refused(folder, *words)
+def test_an_input_is_never_overwritten(refused: Callable[..., str], words: tuple[str, ...]) -> None:
+    assert "is also an input" in refused(*words)
 
 
 @pytest.mark.parametrize(
@@ -85,9 +92,9 @@ def test_an_input_is_never_overwritten(folder: Path, words: tuple[str, ...]) -> 
     ],
 )
 def test_a_suffix_that_says_something_else_is_refused(
-    folder: Path, words: tuple[str, ...], wanted: str
+    refused: Callable[..., str], words: tuple[str, ...], wanted: str
 ) -> None:
-    message = refused(folder, *words)
+    message = refused(*words)
     assert f"expected a file name that ends in {wanted}, got {Path(words[-1]).suffix}" in message
 
 
@@ -134,7 +141,9 @@ CAPTURE = ("--squares", "7x5", "--square", "0.012", "--marker", "0.009")
         (*RELIGHT[:2], "photo16.png", *RELIGHT[2:], "-o", "linked"),
     ],
 )
-def test_what_is_written_beside_is_an_output_too(folder: Path, words: tuple[str, ...]) -> None:
+def test_what_is_written_beside_is_an_output_too(
+    raden: Command, folder: Path, words: tuple[str, ...]
+) -> None:
     for name in ("maps", "linked"):
         (folder / name).mkdir(exist_ok=True)
     (folder / "l.json").write_text("{}")
@@ -145,8 +154,9 @@ def test_what_is_written_beside_is_an_output_too(folder: Path, words: tuple[str,
         (folder / link).unlink(missing_ok=True)
         (folder / link).symlink_to(folder / to)
     kept = {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-    result = CliRunner().invoke(app, [str(folder / w) if is_path(w) else w for w in words])
-    assert "is also an input" in str(result.exception), result.output
+    done = raden(*(folder / w if is_path(w) else w for w in words))
+    assert done.returncode == 2
+    assert "is also an input" in done.stderr
     assert {p: p.read_bytes() for p in folder.rglob("*") if p.is_file()} == kept
 
 
@@ -154,15 +164,15 @@ def is_path(word: str) -> bool:
     return word in ("maps", "linked") or word.endswith((".png", ".csv", ".json", ".safetensors"))
 
 
-def test_a_rig_s_white_is_an_input_of_the_scan(tmp_path: Path) -> None:
+def test_a_rig_s_white_is_an_input_of_the_scan(raden: Command, tmp_path: Path) -> None:
     rt.simulate_specimen("yakogai", step_deg=35.0).save(tmp_path / "tile.csv")
     rig = (Path(__file__).parents[2] / "docs/rig.md").read_text().split("```toml\n")[1]
     rig = rig.split("```")[0].replace("# file =", "file =").replace("reflectance_factor", "# ")
     (tmp_path / "rig.toml").write_text(rig.replace("[45, 0, 0]", "[35, 0, 0]"))
     before = (tmp_path / "tile.csv").read_bytes()
-    words = ["scan", "--config", str(tmp_path / "rig.toml"), "-o", str(tmp_path / "tile.csv")]
-    result = CliRunner().invoke(app, words)
-    assert "tile.csv: is also an input" in str(result.exception), result.output
+    done = raden("scan", "--config", tmp_path / "rig.toml", "-o", tmp_path / "tile.csv")
+    assert done.returncode == 2
+    assert "tile.csv: is also an input" in done.stderr
     assert (tmp_path / "tile.csv").read_bytes() == before
 
 
@@ -229,18 +239,20 @@ def test_a_list_leaves_out_what_is_another_input(
         without_other_inputs([folder / "mask.png"], folder / "mask.png")
 
 
-def test_version() -> None:
-    result = CliRunner().invoke(app, ["--version"])
-    assert result.exit_code == 0
-    assert result.output == f"raden {version('raden_torch')}\n"
+def test_version(raden: Command) -> None:
+    done = raden("--version")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"raden {version('raden_torch')}\n"
 
 
-def test_a_16_bit_photograph_is_relit_and_captioned(folder: Path, tmp_path: Path) -> None:
+def test_a_16_bit_photograph_is_relit_and_captioned(
+    raden: Command, folder: Path, tmp_path: Path
+) -> None:
     words = [str(folder / w) if "." in w else w for w in RELIGHT]
     words[1] = str(folder / "photo16.png")
     out = tmp_path / "relit.png"
-    result = CliRunner().invoke(app, [*words, "--light", "1,1,2", "-o", str(out)])
-    assert result.exit_code == 0, result.output
+    done = raden(*words, "--light", "1,1,2", "-o", out)
+    assert done.returncode == 0, done.stderr
     pixels = cv2.imread(str(out), cv2.IMREAD_UNCHANGED)
     assert pixels.dtype == np.uint16
     assert pixels.shape == (24, 32, 3)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from datetime import datetime, timezone
+from datetime import UTC, datetime
 from typing import cast
 
 import numpy as np
@@ -237,7 +237,7 @@ def _median_terms(reduced: ReducedScan) -> dict[str, float]:
 
 def now_utc() -> str:
     """Date and time, to the second."""
-    return datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
+    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _decisions(contents: JournalContents) -> str:

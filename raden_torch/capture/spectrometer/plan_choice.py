@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from raden_torch.arrays import Floats
@@ -24,16 +24,21 @@ GRID_STEP_DEG = 5.0
 class PlanChoice:
     """A plan's description; None where nothing was said. Angles in degrees.
 
+    The fields are options of `raden scan`, and what is said of them its help.
+
     Attributes:
-        kind: "full", "random", or the path of a CSV file of cells.
-        step_deg: of the grid.
-        incidence, receiving, tilt: first and last node of the grid.
-        readings: how many random ones; the budget of an adaptive plan.
-        repeats: readings of each cell.
-        white_at_each: read the white reference in every cell.
-        seed: of the random cells.
-        adaptive: the grid's step is halved, and where to read is decided on the way.
-        target_error: an adaptive plan ends when its estimated errors are below this.
+        kind: full (the grid; the default), random (off the grid), or a CSV of cells
+        step_deg: step of the grid, degrees; default 5
+        incidence: incidence range of the grid, as 0:70, degrees
+        receiving: receiving range of the grid, as -70:70
+        tilt: tilt range of the grid, as -70:70
+        readings: number of random readings, default 200; with --adaptive the most, default 40 % of
+            the grid
+        repeats: readings of each cell; default 1
+        white_at_each: read the white reference in every cell
+        seed: seed of random cells, simulated noise and faults
+        adaptive: a coarse pass, then further readings where they reduce the error most
+        target_error: with --adaptive: stop when the estimated errors are below this
     """
 
     kind: str | None = None
@@ -51,7 +56,7 @@ class PlanChoice:
     @property
     def is_made(self) -> bool:
         """Whether anything was said that shapes a plan."""
-        return self != PlanChoice(seed=self.seed)
+        return replace(self, seed=0) != type(self)()
 
     def plan(self, reachable: Reachable) -> Plan:
         """The cells, without those that cannot be reached, in an order of little motion.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-import sys
+import tomllib
 from pathlib import Path
 from typing import Annotated
 
@@ -23,11 +23,6 @@ from raden_torch.capture.spectrometer.rig import (
 from raden_torch.capture.spectrometer.white_reference import UNNAMED
 from raden_torch.errors import InputError
 from raden_torch.schema import Text, checked, read_document
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # type: ignore[import-not-found, unused-ignore]
 
 MAX_BYTES = 1_000_000
 

@@ -98,7 +98,7 @@ def agreement(
     own = (pooled / np.maximum(np.bincount(row.cell, row.count, cells_of), 1))[row.cell]
     slopes = direction_slopes(
         fit.coefficients[:, 0].astype(np.float64),
-        fit.coefficients[:, 1:4].transpose(0, 2, 1) / grid.step_deg,
+        np.asarray(fit.coefficients[:, 1:4].transpose(0, 2, 1) / grid.step_deg, np.float64),
         grid.nodes_deg()[fit.cell],
     ).mean(axis=1)
     systematic = np.hypot(

@@ -117,7 +117,7 @@ def _translation(edges: Edges, wide: float) -> tuple[Floats, float] | None:
         square = (normals * weight[:, None]).T @ normals
         if np.linalg.cond(square) > 1e3:  # one straight edge alone
             return None
-        by = np.linalg.solve(square, (normals * weight[:, None]).T @ place)
+        by = np.asarray(np.linalg.solve(square, (normals * weight[:, None]).T @ place), np.float64)
         off = place - normals @ by
         scale = max(1.4826 * float(np.median(abs(off - np.median(off)))), 0.05)
         weight = np.clip(1 - (off / (4.685 * scale)) ** 2, 0, None) ** 2

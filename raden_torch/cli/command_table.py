@@ -1,0 +1,185 @@
+"""The `raden` command's contents: each subcommand's name, summary, example, and where it stands.
+
+A subcommand's module is imported when that subcommand runs, or shows its own help: none is for
+`raden --help`. What options look like on the command line is decided here, once for all of them.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from cyclopts import App, Group, Parameter
+
+from raden_torch.cli.option_names import option_name
+from raden_torch.cli.option_types import read_value
+
+if TYPE_CHECKING:
+    from cyclopts.help import DefaultFormatter, HelpPanel
+    from rich.console import Console, ConsoleOptions
+
+
+def _version() -> str:
+    from importlib.metadata import version
+
+    return f"raden {version('raden_torch')}"
+
+
+def _shown_default(value: Any) -> Any:
+    """What help says of a default: nothing where the option is simply not given."""
+    return None if value is None or value is False or value in ((), "") else value
+
+
+class _HelpFormatter:
+    """cyclopts' own form, where the lines of a docstring are one paragraph."""
+
+    @cached_property
+    def _own(self) -> DefaultFormatter:
+        from cyclopts.help import DefaultFormatter  # 20 ms, when help is shown
+
+        return DefaultFormatter()
+
+    def __call__(self, console: Console, options: ConsoleOptions, panel: HelpPanel) -> None:
+        for entry in panel.entries:
+            text = entry.description.primary_renderable
+            entry.description.primary_renderable = type(text)(" ".join(text.plain.split()))
+        self._own(console, options, panel)
+
+    def render_usage(self, console: Console, options: ConsoleOptions, usage: Any) -> None:
+        self._own.render_usage(console, options, usage)
+
+    def render_description(self, console: Console, options: ConsoleOptions, text: Any) -> None:
+        self._own.render_description(console, options, text)
+
+
+app = App(
+    name="raden",
+    help="Measure how mother-of-pearl reflects, keep it as a small model, light images with it.",
+    help_format="plaintext",
+    help_formatter=_HelpFormatter(),
+    group_arguments=Group("Arguments", sort_key=0),
+    group_parameters=Group("Options", sort_key=1),
+    version=_version,
+    default_parameter=Parameter(
+        name_transform=option_name,
+        negative=(),
+        converter=read_value,
+        json_dict=False,
+        json_list=False,
+        show_default=_shown_default,
+        allow_leading_hyphen=True,  # --light -1,0,1
+        allow_repeating=True,  # the last one counts, or all of them where the option is a list
+    ),
+    print_error=False,
+    exit_on_error=False,
+)
+capture = App(
+    name="capture",
+    help="From photographs: the camera, its colour, the light and the normals.",
+    sort_key=100,
+)
+
+_COMMANDS = (
+    (
+        "model_commands:fit",
+        "Fit a model to a measurement and report how well.",
+        "raden fit shell.csv -o shell.safetensors",
+    ),
+    (
+        "file_commands:info",
+        "Say what a file holds; compare two measurements; score a model on other readings.",
+        "raden info scan.csv photographs.csv",
+    ),
+    (
+        "file_commands:merge",
+        "Make one measurement of several, each reading weighed by its uncertainty.",
+        "raden merge scan.csv photographs.csv -o shell.csv",
+    ),
+    (
+        "file_commands:plot",
+        "Draw the paper's graphs of a measurement or a model; or where two measurements differ.",
+        "raden plot shell.csv -o graphs.png --figure 5 --figure 9",
+    ),
+    (
+        "model_commands:export",
+        "Write a model as an ONNX shader for other programs, checked in ONNX Runtime.",
+        "raden export shell.safetensors -o shell.onnx --profile scene",
+    ),
+    (
+        "model_commands:verify",
+        "Check an exported shader in every runtime on this machine.",
+        "raden verify shell.onnx",
+    ),
+    (
+        "model_commands:bench",
+        "Run time against error, of every interpolator and backend.",
+        "raden bench --out bench",
+    ),
+    (
+        "picture_commands:render",
+        "Light a shape, or an EXR G-buffer, with a model.",
+        "raden render shell.safetensors --light 1,1,2 -o sphere.png",
+    ),
+    (
+        "picture_commands:relight",
+        "Relight the masked part of photographs; the rest of them is kept.",
+        "raden relight box.png --normals n.png --mask m.png --model shell.safetensors "
+        "--light 1,1,2 -o relit.png",
+    ),
+    (
+        "picture_commands:demo",
+        "Simulate a shell, fit a model to it, light it, and show all of it on a page.",
+        "raden demo --out demo",
+    ),
+    (
+        "scan_command:scan",
+        "Measure a sample with a goniospectrometer, from its plan to a measurement file.",
+        "raden scan --config rig.toml --sample yakogai -o shell.csv",
+    ),
+)
+_CAPTURE_COMMANDS = (
+    (
+        "capture_commands:calibrate",
+        "Calibrate a camera on photographs of a ChArUco board; where does the board lie?",
+        "raden capture calibrate board*.jpg --squares 5x7 --square 0.04 --marker 0.02 "
+        "-o camera.json",
+    ),
+    (
+        "capture_commands:colour",
+        "Fit the map from a camera's RGB to XYZ on photographs of a colour chart.",
+        "raden capture colour chart.tif --coded linear -o colour.json",
+    ),
+    (
+        "capture_commands:lights",
+        "Find the directions to the lamps (or their places) in photographs of a chrome ball.",
+        "raden capture lights chrome1.png chrome2.png chrome3.png --mask ball.png -o lights.json",
+    ),
+    (
+        "capture_commands:normals",
+        "Solve normals, albedo and confidence from photographs under known lamps.",
+        "raden capture normals box1.png box2.png box3.png box4.png --lights lights.json "
+        "--mask box.png -o box",
+    ),
+    (
+        "capture_brdf_command:brdf",
+        "Measure a BRDF: every lit pixel of a sphere, plane or cylinder is a reading.",
+        "raden capture brdf lamp*.tif --shape sphere --mask sample.png --lights lights.json "
+        "--white-mask white.png --white-factor 98.5 -o shell.csv",
+    ),
+    (
+        "simulated_photographs_command:simulate",
+        "Photograph a simulated specimen by Mitsuba 3, with everything that is true of it beside.",
+        "raden capture simulate --material yakogai -o photographs",
+    ),
+)
+
+app.command(capture)
+for group, commands in ((app, _COMMANDS), (capture, _CAPTURE_COMMANDS)):
+    for place, (where, summary, example) in enumerate(commands):
+        group.command(
+            f"raden_torch.cli.{where}",
+            name=where.partition(":")[2],
+            help=summary,
+            help_epilogue=f"Example: {example}",
+            sort_key=place,
+        )

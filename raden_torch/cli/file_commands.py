@@ -1,0 +1,158 @@
+"""What files hold, and what is made of them without a fit: info, merge, plot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
+
+from raden_torch.cli.option_types import argument, files, output
+from raden_torch.cli.status import working
+from raden_torch.errors import InputError
+from raden_torch.files import check_output
+
+if TYPE_CHECKING:
+    from raden_torch.brdf.model.model import RadenBrdf
+    from raden_torch.measurement import BrdfMeasurement
+
+
+def info(
+    file: Annotated[Path | None, argument("any file that raden writes or reads")] = None,
+    other: Annotated[Path | None, argument("a measurement to compare the first one with")] = None,
+    /,
+    *,
+    against: Annotated[
+        Path | None, Parameter(help="readings to score a model against, e.g. off its grid")
+    ] = None,
+    system: Annotated[
+        bool, Parameter(help="show which form of the model runs on this machine instead")
+    ] = False,
+) -> None:
+    if system == (file is not None):
+        raise InputError("info: give a FILE, or --system")
+    if file is None:
+        from raden_torch.brdf.model.simd import system_report
+
+        print(system_report())
+        return
+
+    from raden_torch.info import describe_file
+
+    if other is not None and against is not None:
+        raise InputError("info: two measurements are compared, --against scores a model; give one")
+    with working(f"reading {file.name}"):
+        if other is not None:
+            text = _compared(file, other)
+        else:
+            text = describe_file(file)
+            if against is not None:
+                text += f"\nagainst {against.name}: {_scored(file, against)}"
+    print(text)
+
+
+def _measurement(path: Path) -> BrdfMeasurement:
+    """The measurement in a file; another kind of file is named in the error."""
+    from raden_torch.measurement import BrdfMeasurement
+
+    loaded = _load(path)
+    if isinstance(loaded, BrdfMeasurement):
+        return loaded
+    raise InputError(f"{path}: expected a measurement, got a model")
+
+
+def _compared(first: Path, second: Path) -> str:
+    from raden_torch.measurement.compare import compare
+
+    return str(compare(_measurement(first), _measurement(second)))
+
+
+def _scored(model: Path, readings: Path) -> str:
+    from raden_torch.brdf.fitting.score import score
+    from raden_torch.measurement import BrdfMeasurement
+
+    loaded = _load(model)
+    if isinstance(loaded, BrdfMeasurement):
+        raise InputError(f"--against: expected a model to score, got a measurement ({model})")
+    return str(score(loaded, _measurement(readings)))
+
+
+def merge(
+    *files: Annotated[Path, files("measurements of one specimen")],
+    output: Annotated[Path, output("the measurement to write, .csv")],
+    robust: Annotated[
+        bool,
+        Parameter(
+            help="if readings contradict each other, enlarge their uncertainty instead of refusing"
+        ),
+    ] = False,
+) -> None:
+    from raden_torch.measurement.merge import merge as merge_measurements
+
+    check_output(output, (".csv",), inputs=files)
+    with working("merging"):
+        merged = merge_measurements([_measurement(path) for path in files], robust=robust)
+        merged.measurement.save(output)
+    print(f"{merged}\nwrote {output}")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PlotOptions:
+    """Which graphs, and at which angles."""
+
+    figure: tuple[str, ...] = ()
+    """5, 6, 7, 8, 9 or path; may be repeated; by default all"""
+    incidence_deg: float = 20.0
+    """angle held in figs 5, 6 and 9, degrees"""
+    tilt_deg: float = 10.0
+    """angle held in fig. 5, degrees"""
+    surface_tilt_deg: float = 55.0
+    """angle held in figs 7 and 8, degrees"""
+
+
+def plot(
+    file: Annotated[Path, argument("a measurement or a model")],
+    other: Annotated[Path | None, argument("a measurement to compare the first one with")] = None,
+    /,
+    *,
+    output: Annotated[Path, output(".png, .svg or .pdf")],
+    what: PlotOptions = PlotOptions(),
+) -> None:
+    from raden_torch.plots import FIGURES, check_plot_path, draw, draw_comparison, save_plot
+
+    check_plot_path(output)
+    check_output(output, inputs=(file, other))
+    if other is not None:
+        if what.figure:
+            raise InputError("plot: --figure is of one file; two are compared on one sheet")
+        save_plot(draw_comparison(*(_measurement(path) for path in (file, other))), output)
+        print(f"wrote {output}")
+        return
+    with working(f"drawing {file.name}"):
+        sheet = draw(
+            _load(file),
+            what.figure or FIGURES,
+            incidence_deg=what.incidence_deg,
+            tilt_deg=what.tilt_deg,
+            surface_tilt_deg=what.surface_tilt_deg,
+        )
+        save_plot(sheet, output)
+    print(f"wrote {output}")
+
+
+def _load(path: Path) -> BrdfMeasurement | RadenBrdf:
+    """A model or a measurement, whichever the file is."""
+    from raden_torch.info import kind_of
+
+    name = kind_of(path).name
+    if name == "a model":
+        from raden_torch.brdf.files.model_file import load_model
+
+        return load_model(path)
+    if name != "a measurement":
+        raise InputError(f"{path}: expected a measurement or a model, got {name}")
+    from raden_torch.capture.importers import load_measurement
+
+    return load_measurement(path)

@@ -1,0 +1,214 @@
+"""What an option's text stands for: each type is read, and refused, in one place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from types import NoneType
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+
+from cyclopts import Parameter, convert
+
+if TYPE_CHECKING:
+    from cyclopts import Token
+
+    from raden_torch.brdf.shading.lights import Light
+
+
+Points = tuple[tuple[float, float], ...]
+"""x,y of each."""
+
+
+def argument(text: str) -> Parameter:
+    """A positional argument; `text` is its help."""
+    return Parameter(help=text, allow_leading_hyphen=False)
+
+
+def files(text: str) -> Parameter:
+    """One or more files, which may stand between the options, too; `text` is their help."""
+    return Parameter(help=text, allow_leading_hyphen=False, required=True)
+
+
+def output(text: str) -> Parameter:
+    """--output and -o."""
+    return Parameter(name="--output", alias="-o", help=text)
+
+
+def switch(text: str) -> Parameter:
+    """--name and --no-name."""
+    return Parameter(help=text, negative_bool="no-", negative=None)
+
+
+def _read(read: Callable[[str], Any], like: str, **more: Any) -> Parameter:
+    """An option whose text `read` understands, or raises a ValueError that says what it expected.
+
+    Args:
+        like: how help shows the value.
+    """
+
+    def read_tokens(_: object, tokens: Sequence[Token]) -> Any:
+        return read(tokens[0].value)
+
+    return Parameter(converter=read_tokens, n_tokens=1, accepts_keys=False, metavar=like, **more)
+
+
+def _read_all(read: Callable[[str], Any], like: str) -> Parameter:
+    """As `_read`, of an option that may be repeated."""
+
+    def read_tokens(_: object, tokens: Sequence[Token]) -> Any:
+        return tuple(read(token.value) for token in tokens)
+
+    return Parameter(converter=read_tokens, n_tokens=1, accepts_keys=False, metavar=like)
+
+
+def read_value(wanted: Any, tokens: Sequence[Token]) -> Any:
+    """What tokens stand for where an option says nothing else: numbers strictly, the rest by
+    cyclopts, which would take 3.5 for a whole number and "none" for a number that is not given."""
+    readers = {int: _whole, float: number}
+    if NoneType in get_args(wanted):
+        wanted = next(part for part in get_args(wanted) if part is not NoneType)
+    if wanted in readers:
+        return readers[wanted](tokens[0].value)
+    if get_origin(wanted) is tuple and get_args(wanted)[0] in readers:
+        return tuple(readers[get_args(wanted)[0]](token.value) for token in tokens)
+    return convert(wanted, tokens)
+
+
+def _whole(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise ValueError(f"expected a whole number, got {text or 'nothing'}") from None
+
+
+def number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"expected a number, got {text or 'nothing'}") from None
+
+
+def _triple(text: str) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"expected three numbers as 1,1,2, got {text}") from None
+    return x, y, z
+
+
+def _pair(text: str) -> tuple[str, str]:
+    name, equals, value = text.partition("=")
+    if not (name and equals and value):
+        raise ValueError(f"expected name=value, as normal=N, got {text}")
+    return name, value
+
+
+def _stops(text: str) -> float | None:
+    if text == "auto":
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"expected a number of stops, or auto, got {text}") from None
+
+
+def _bytes(text: str) -> int:
+    """`2G`, `512M`; a bare number is bytes."""
+    units = {"": 0, "K": 1, "M": 2, "G": 3, "T": 4}
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)([KMGT]?)i?B?", text.strip(), re.IGNORECASE)
+    if found is None:
+        raise ValueError(f"expected a size as 2G or 512M, got {text}")
+    amount, unit = found.groups()
+    return int(float(amount) * 1024 ** units[unit.upper()])
+
+
+def _limits(text: str) -> tuple[float, float]:
+    low, colon, high = text.partition(":")
+    if not colon:
+        raise ValueError(f"expected first and last in degrees, as 0:70, got {text}")
+    return number(low), number(high)
+
+
+def _squares(text: str) -> tuple[int, int]:
+    try:
+        columns, rows = (int(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise ValueError(f"expected columns x rows, as 5x7, got {text}") from None
+    return columns, rows
+
+
+def _points(text: str) -> Points:
+    """None at all if the text is something else."""
+    try:
+        points = [[float(n) for n in part.split(",")] for part in text.split()]
+    except ValueError:
+        return ()
+    if not all(len(point) == 2 and isfinite(sum(point)) for point in points):
+        return ()
+    return tuple((x, y) for x, y in points)
+
+
+def _corners_px(text: str) -> Points:
+    points = _points(text)
+    if len(points) != 4:
+        raise ValueError(f'expected four points as "x,y x,y x,y x,y", got {text}')
+    return points
+
+
+def _region(text: str) -> Points:
+    points = _points(text)
+    if len(points) < 3:
+        raise ValueError(
+            f'expected three or more points in metres, as "0.05,0.05 0.1,0.05", got {text}'
+        )
+    return points
+
+
+def _axis(text: str) -> Points:
+    points = _points(text)
+    if len(points) != 2:
+        raise ValueError(f'expected two points in metres, as "0.05,0.05 0.1,0.05", got {text}')
+    return points
+
+
+@dataclass(frozen=True)
+class LampOption:
+    """A lamp on the command line: x,y,z at infinity, or point:x,y,z."""
+
+    position: tuple[float, float, float]
+    is_point: bool = False
+
+    @classmethod
+    def read(cls, text: str) -> LampOption:
+        kind, colon, numbers = text.rpartition(":")
+        if colon and kind != "point":
+            raise ValueError(f"expected x,y,z or point:x,y,z, got {text}")
+        return cls(_triple(numbers), bool(kind))
+
+    @property
+    def light(self) -> Light:
+        from raden_torch.brdf.shading.lights import DirectionalLight, PointLight
+
+        return (PointLight if self.is_point else DirectionalLight)(self.position)
+
+
+def _lamp_or_file(text: str) -> tuple[float, float, float] | Path:
+    return Path(text) if text.endswith(".json") else _triple(text)
+
+
+Triple = Annotated[tuple[float, float, float], _read(_triple, "X,Y,Z")]
+Stops = Annotated[float | None, _read(_stops, "STOPS", show_default=lambda stops: stops or "auto")]
+Bytes = Annotated[int, _read(_bytes, "SIZE", show_default=lambda size: f"{size >> 30}G")]
+Limits = Annotated[tuple[float, float], _read(_limits, "FIRST:LAST")]
+Squares = Annotated[tuple[int, int], _read(_squares, "COLUMNSxROWS")]
+CornersPx = Annotated[Points, _read(_corners_px, "POINTS")]
+Region = Annotated[Points, _read(_region, "POINTS")]
+Axis = Annotated[Points, _read(_axis, "POINTS")]
+LampOrFile = Annotated[tuple[float, float, float] | Path, _read(_lamp_or_file, "X,Y,Z|FILE")]
+Lamps = Annotated[tuple[LampOption, ...], _read_all(LampOption.read, "X,Y,Z")]
+Pairs = Annotated[tuple[tuple[str, str], ...], _read_all(_pair, "NAME=VALUE")]
+
+ModelFile = Annotated[Path, argument("a model that `raden fit` wrote")]

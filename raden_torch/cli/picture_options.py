@@ -1,0 +1,62 @@
+"""Options of the commands that make pictures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Group, Parameter
+
+from raden_torch.cli.option_types import Bytes, Pairs
+
+if TYPE_CHECKING:
+    from raden_torch.brdf.files.gbuffer_reading import GBufferReading
+
+_EXR_FILES = Group("EXR files", sort_key=2)
+
+
+@Parameter(name="*", group=_EXR_FILES)
+@dataclass(frozen=True)
+class ExrOptions:
+    """What an EXR's depth and normals are: fields are named as the library's readers name them."""
+
+    fov_deg: float | None = None
+    """horizontal field of view of the camera of an EXR with depth, degrees"""
+    depth: str | None = None
+    """what the depth of the EXR is: planar (along the camera's axis), distance (along the pixel's
+    ray), negative (z of a camera that looks along −z), or by renderer: blender, karma, mitsuba;
+    planar unless stated"""
+    xyz: Annotated[str, Parameter(name="--normal-xyz")] = "r,g,b"
+    """the normals' channels that hold x,y,z (right, up, to the viewer), with a minus where one
+    points the other way: b,g,r or =r,-g,-b"""
+
+    @property
+    def reading(self) -> GBufferReading:
+        """The same for the library."""
+        from raden_torch.brdf.files.gbuffer_reading import GBufferReading
+
+        return GBufferReading(**self._fields)
+
+    @property
+    def _fields(self) -> dict[str, Any]:
+        return {"fov_deg": self.fov_deg, "depth": self.depth, "xyz": self.xyz}
+
+
+@Parameter(name="*", group=_EXR_FILES)
+@dataclass(frozen=True)
+class GBufferOptions(ExrOptions):
+    """How an EXR is read as a G-buffer, and lit."""
+
+    channels: Annotated[Pairs, Parameter(name="--channel")] = ()
+    """channels of the EXR, as normal=N or depth=Z; may be repeated"""
+    smooth_px: float = 0.0
+    """smooth the EXR's depth over this many pixels"""
+    tolerance: float = 0.0
+    """for an EXR: the largest error of a pixel's radiance that is accepted to save time"""
+    memory: Bytes = 4 * 1024**3
+    """for an EXR lit into an .exr: shade it in bands within this much memory"""
+
+    @property
+    def _fields(self) -> dict[str, Any]:
+        channels = dict(self.channels)
+        return {**super()._fields, "channels": channels, "smooth_px": self.smooth_px}
