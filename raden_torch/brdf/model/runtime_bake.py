@@ -46,8 +46,9 @@ def bake(model: RadenBrdf, layout: RuntimeLayout) -> Tensor:
     table, part = model.table, model.diffuse
     if table is None and part is None:
         return torch.zeros(*layout.shape, 3, device="cpu")
-    # the operator, which computes all once more for its gradient, is for graphs
-    form = torch.ops.raden_torch.bake if torch.compiler.is_compiling() else _bake
+    # the operator, which computes all once more for its gradient, is for graphs and shapes alone
+    in_graph = torch.compiler.is_compiling() or any(p.is_meta for p in model.parameters())
+    form = torch.ops.raden_torch.bake if in_graph else _bake
     return form(
         None if table is None else table.values,
         None if part is None else part.scale,

@@ -12,8 +12,8 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.fitting.diffuse_fit import FITS, angle_from_mirror, fit_diffuse
-from raden_torch.brdf.fitting.score import reflectance_factors
-from raden_torch.cli import app
+from raden_torch.brdf.fitting.score import fit_form_factors, reflectance_factors
+from raden_torch.cli import run
 from raden_torch.errors import InputError
 from raden_torch.info.reflectance_info import describe_model
 from raden_torch.measurement import BrdfMeasurement
@@ -131,7 +131,7 @@ def test_outside_the_box_stands_what_was_fitted() -> None:
     model = rt.fit(m, diffuse="surface", outside="diffuse", interpolation="trilinear").model
     beyond = np.array([[81.0, 85.0, 30.0], [-60.0, 88.0, 10.0], [20.0, 0.0, 82.0]])
     truth = FACTOR_PER_SR * formula(tuple(np.deg2rad(beyond)))
-    assert reflectance_factors(model, measured(truth, beyond)) == pytest.approx(truth, rel=1e-2)
+    assert fit_form_factors(model, measured(truth, beyond)) == pytest.approx(truth, rel=1e-2)
 
 
 def test_a_surface_above_the_table_leaves_a_negative_remainder(
@@ -174,7 +174,7 @@ def test_report_model_and_info_say_which(tmp_path: Path, monkeypatch, capsys) ->
         ([], "the floor of the readings"),
         (["--diffuse-scale", "0.1,0.1,0.1", "--diffuse-exponent", "1,1,1"], "set by hand"),
     ):
-        app(["fit", "m.csv", "-o", "m.safetensors", *words], standalone_mode=False)
+        run(["fit", "m.csv", "-o", "m.safetensors", *words])
         assert fitted_to in capsys.readouterr().out
         model = rt.load_model("m.safetensors")
         assert fitted_to in describe_model(model)
@@ -182,10 +182,7 @@ def test_report_model_and_info_say_which(tmp_path: Path, monkeypatch, capsys) ->
     model.provenance = replace(model.provenance, fit={})
     assert fitted_to not in describe_model(model)
     with pytest.raises(InputError, match="--diffuse surface fits what --diffuse-scale sets"):
-        app(
-            ["fit", "m.csv", "-o", "n.safetensors", "--diffuse", "surface", *words],
-            standalone_mode=False,
-        )
+        run(["fit", "m.csv", "-o", "n.safetensors", "--diffuse", "surface", *words])
 
 
 @pytest.mark.parametrize("wrong", ["median", 0.5, ["floor"]])
