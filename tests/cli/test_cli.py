@@ -46,7 +46,7 @@ def test_info_of_both_kinds(raden: Command, shell: Path) -> None:
     assert "incidence: 0…70 deg by 5, 15 values" in measurement
     model = process("info", shell / "shell.safetensors", "--against", shell / "shell.csv").stdout
     assert "model of yakogai" in model
-    assert "12615 readings: RMS 0.00000" in model
+    assert "12615 readings: RMS 0.000" in model
 
 
 def test_a_spreadsheets_table_is_read_with_a_word(raden: Command, tmp_path: Path) -> None:
