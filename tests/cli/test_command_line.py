@@ -201,7 +201,7 @@ def test_values_stand_for_themselves() -> None:
     words = ("--normal-xyz", "-r,g,b", "--memory", "1.5G", "--fov", "-3", "--channel", "normal=N")
     exr = parsed("render", "m", *words)["exr"]
     assert (exr.xyz, exr.memory, exr.fov_deg) == ("-r,g,b", 3 << 29, -3.0)
-    assert exr.reading["channels"] == {"normal": "N"}
+    assert exr.reading.channels == {"normal": "N"}
     assert parsed("render", "m", "--exposure", "auto")["exposure"] is None
     assert parsed("render", "m", "--exposure", "-1.5")["exposure"] == -1.5
     assert parsed("demo", "--size", "64", "--size", "32") == {"size": 32}  # the last one counts
