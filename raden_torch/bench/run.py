@@ -29,7 +29,7 @@ OUTPUTS = ("bench.json", "time_against_error.png")
 """What `run_bench` writes into its folder."""
 
 _FRAME = (720, 1280)
-_RUNS = 9
+_RUNS = 7
 
 
 def run_bench(

@@ -160,7 +160,7 @@ class BenchOptions:
     """readings off that grid"""
     height: int = 720
     """height of the timed frame, which is 16:9"""
-    runs: int = 9
+    runs: int = 7
     """how often each form is timed; times are medians"""
     compiled: bool = False
     """also run under torch.compile; needs a C++ compiler"""
