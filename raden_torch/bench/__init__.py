@@ -1,4 +1,4 @@
-"""What `raden bench` does: run time against error, of every interpolator and backend."""
+"""What `raden bench` does: run time against error, of every form of the model and every backend."""
 
 from raden_torch.bench.naive_form import naive
 from raden_torch.bench.run import OUTPUTS, run_bench

@@ -4,25 +4,27 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from raden_torch.brdf.fitting.score import Score
+
 
 @dataclass(frozen=True)
 class Row:
-    """One interpolator in one backend.
+    """One form in one backend.
 
     Attributes:
-        scheme, backend, precision: what ran.
+        form, nodes, default, backend, precision: what ran, as in `forms.Form`.
         times_floor, times_naive: run time over a copy of the same bytes, and over the naive form.
-        rms, log_error: as in `score.Score`.
-        table_bytes: of the table.
-        delta_e: mean ΔE2000 of a lit sphere against the simulation; NaN without one.
+        errors: by region, "inside" and "outside" the measured box and over the whole "hemisphere"
+            (all readings); a region without readings is left out.
+        delta_e: mean ΔE2000 of a lit sphere against the simulation; None of a real sample.
     """
 
-    scheme: str
+    form: str
+    nodes: int
+    default: bool
     backend: str
     precision: str
     times_floor: float
     times_naive: float
-    rms: float
-    log_error: float
-    table_bytes: int
-    delta_e: float = float("nan")
+    errors: dict[str, Score]
+    delta_e: float | None = None

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-
 import torch
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf.model.model import CosineDiffuse, RadenBrdf
-from raden_torch.brdf.model.reflectance_table import ReflectanceTable
+from raden_torch.brdf.model.model import RadenBrdf
 
 
 def naive(model: RadenBrdf, normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
@@ -43,10 +39,3 @@ def naive(model: RadenBrdf, normal: Tensor, light: Tensor, view: Tensor) -> Tens
     inside = (grid.abs() <= 1).all(dim=-1)
     f = torch.where(inside, specular, body)
     return torch.where((geometry.dot(n, l) > 0) & (geometry.dot(n, v) > 0), f, 0.0)
-
-
-def reference_naive() -> Callable[[Tensor, Tensor, Tensor], Tensor]:
-    """The naive form of a plain table of the paper's size, for schemes that have none."""
-    table = ReflectanceTable(torch.ones(15, 29, 29, 3), (0.0, -70.0, -70.0), (5.0, 5.0, 5.0))
-    model = RadenBrdf(CosineDiffuse(torch.ones(3), torch.ones(3)), table)
-    return torch.no_grad()(partial(naive, model))

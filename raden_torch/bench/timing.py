@@ -1,35 +1,25 @@
-"""Every way of this machine to evaluate a model, and how long each takes."""
+"""How long each form of the model takes."""
 
 from __future__ import annotations
 
 import platform
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from raden_torch.bench.naive_form import naive, reference_naive
-from raden_torch.brdf.model import simd
+from raden_torch.bench.forms import NAIVE, PRECISIONS, Form, without_gradients
 from raden_torch.brdf.model.model import RadenBrdf
 
 SCALING = (64, 256, 1024, 2048)
 """Sides of square frames, in pixels."""
 
-PRECISIONS = {
-    "float32": torch.float32,
-    "float64": torch.float64,
-    "float16": torch.float16,
-    "bfloat16": torch.bfloat16,
-}
-"""Of the maps; half precision is computed in float32."""
-
-_RUNS = 9
-
-Shader = Callable[[Tensor, Tensor, Tensor], Tensor]
+_LEAST_S = 0.03
+"""How long a form is run at least to be timed once."""
 
 
 def machine() -> dict[str, Any]:
@@ -55,59 +45,42 @@ def frame_vectors(height: int, width: int) -> tuple[Tensor, Tensor, Tensor]:
     return unit(normal, dim=1), unit(light, dim=1), unit(view, dim=1)
 
 
-def backends(model: RadenBrdf, compiled: bool = False) -> dict[tuple[str, str], Shader]:
-    """Every way of this machine to evaluate a model without gradients, by backend and precision.
-
-    `compiled` adds the eager form under torch.compile, which needs a compiler and its time.
-    """
-    found: dict[tuple[str, str], Shader] = {}
-    for level in reversed(simd.LEVELS):
-        found[level, "float32"] = without_gradients(model, level)
-    for precision in PRECISIONS:
-        found["eager", precision] = without_gradients(model, simd.OFF)
-    if compiled:
-        torch.compiler.reset()  # else the models before this one count as its recompilations
-        found["compiled", "float32"] = without_gradients(torch.compile(model), simd.OFF)
-    if simd.LEVELS:
-        found[simd.LEVELS[-1], "float16"] = without_gradients(model, simd.LEVELS[-1])
-    if model.table is not None and model.table.pieces is None:
-        found["naive", "float32"] = torch.no_grad()(partial(naive, model))
-    return found
-
-
-def without_gradients(model: Shader, level: str | None = None) -> Shader:
-    """The model without gradients, by the kernel's instruction set; by what it takes where None."""
-
-    def shader(normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
-        with torch.no_grad(), simd.using(level or simd.level()):
-            return model(normal, light, view)
-
-    return shader
-
-
 def time_ratios(
-    shaders: dict[tuple[str, str], Shader], vectors: tuple[Tensor, Tensor, Tensor]
-) -> dict[tuple[str, str], tuple[float, float]]:
-    """Run time over the floor and over the naive form, all in turn, medians."""
-    source = torch.cat([m.flatten() for m in vectors])
-    # as many bytes as three maps read and one written: two thirds of them there and back
-    part = source[: len(source) * 2 // 3]
-    target = torch.empty_like(part)
+    forms: Sequence[Form], vectors: tuple[Tensor, Tensor, Tensor], runs: int
+) -> list[tuple[float, float]]:
+    """Run time of each form over the floor and over the naive form, medians.
+
+    The floor is timed beside every form, so that a busy machine hits both.
+    """
+    copy = _copy(vectors)
     maps = {name: [m.to(dtype) for m in vectors] for name, dtype in PRECISIONS.items()}
-    floor, naive = ("floor", ""), ("naive", "float32")
-    work: dict[tuple[str, str], Callable[[], object]] = {floor: partial(target.copy_, part)}
-    work |= {key: partial(shader, *maps[key[1]]) for key, shader in shaders.items()}
-    if naive not in work:
-        work[naive] = partial(reference_naive(), *vectors)
-    times: dict[tuple[str, str], list[float]] = {key: [] for key in work}
-    for _ in range(_RUNS):
-        for name, run in work.items():
-            run()  # what ran before has left its own memory behind
-            start = time.perf_counter()
-            run()
-            times[name].append(time.perf_counter() - start)
-    median = {name: statistics.median(taken) for name, taken in times.items()}
-    return {k: (median[k] / median[floor], median[k] / median[naive]) for k in shaders}
+    floor: list[float] = []
+    taken: list[list[float]] = [[] for _ in forms]
+    for _ in range(runs):
+        for form, seconds in zip(forms, taken, strict=True):
+            floor.append(_seconds(copy))
+            seconds.append(_seconds(partial(form.shader, *maps[form.precision])))
+    medians = [statistics.median(seconds) for seconds in taken]
+    naive = next(m for form, m in zip(forms, medians, strict=True) if form.backend == NAIVE)
+    return [(median / statistics.median(floor), median / naive) for median in medians]
+
+
+def _copy(vectors: tuple[Tensor, Tensor, Tensor]) -> Callable[[], object]:
+    """Moves as many bytes as three maps read and one written: two thirds of them there and back."""
+    source = torch.cat([m.flatten() for m in vectors])
+    part = source[: len(source) * 2 // 3]
+    return partial(torch.empty_like(part).copy_, part)
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    """Of one call; short ones are repeated."""
+    work()  # what ran before has left its own memory behind
+    start, calls, elapsed = time.perf_counter(), 0, 0.0
+    while elapsed < _LEAST_S:
+        work()
+        calls += 1
+        elapsed = time.perf_counter() - start
+    return elapsed / calls
 
 
 def scaling(model: RadenBrdf) -> list[dict[str, float]]:

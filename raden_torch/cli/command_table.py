@@ -112,7 +112,7 @@ _COMMANDS = (
     ),
     (
         "model_commands:bench",
-        "Run time against error, of every interpolator and backend.",
+        "Run time against error, of every form of the model and every backend.",
         "raden bench --out bench",
     ),
     (

@@ -160,6 +160,8 @@ class BenchOptions:
     """readings off that grid"""
     height: int = 720
     """height of the timed frame, which is 16:9"""
+    runs: int = 7
+    """how often each form is timed; times are medians"""
     compiled: bool = False
     """also run under torch.compile; needs a C++ compiler"""
 
@@ -168,6 +170,8 @@ class BenchOptions:
             raise InputError("--measurement and --readings go together; give both or neither")
         if not 16 <= self.height <= 8192:
             raise InputError(f"--height: expected 16…8192, got {self.height}")
+        if not 1 <= self.runs <= 1000:
+            raise InputError(f"--runs: expected 1…1000, got {self.runs}")
         if self.out.exists() and not self.out.is_dir():
             raise InputError(f"{self.out}: expected a folder, got a file")
 
@@ -182,5 +186,7 @@ def bench(*, what: BenchOptions = BenchOptions()) -> None:
     grid = None if what.measurement is None else load_measurement(what.measurement)
     off_grid = None if what.readings is None else load_measurement(what.readings)
     frame = (what.height, what.height * 16 // 9)
-    plot_path = run_bench(what.out, grid, off_grid, frame=frame, compiled=what.compiled)
+    plot_path = run_bench(
+        what.out, grid, off_grid, frame=frame, runs=what.runs, compiled=what.compiled
+    )
     print(f"wrote {plot_path.with_name('bench.json')}\nwrote {plot_path}")

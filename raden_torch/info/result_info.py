@@ -187,27 +187,38 @@ def describe_truth(path: Path) -> str:
 
 
 def recognises_bench(head: bytes) -> bool:
-    return _is_json_with(head, rb'"frame"\s*:\s*\[[^\]]*\],\s*"chosen"')
+    return _is_json_with(head, rb'"runs"\s*:\s*\d+,\s*"default_nodes"')
 
 
 def describe_bench(path: Path) -> str:
-    """Specimen, frame, machine and the chosen interpolator's errors."""
+    """Specimen, frame, and the default's times and errors."""
     found = _parsed(path)
     height, width = found["frame"]
     kind = "simulated" if found["simulated"] else "measured"
-    rows = [row for row in found["rows"] if row["scheme"] == found["chosen"]]
     return "\n".join(
         [
             f"benchmark on {found['sample'] or 'an unnamed sample'} ({kind}), "
             "written by `raden bench`",
-            f"frame {width} x {height}; {len(found['rows'])} rows; chosen: {found['chosen']}",
+            f"frame {width} x {height}; {len(found['rows'])} rows; default: "
+            f"{found['interpolation']}, {found['default_nodes']} nodes",
             *(
-                f"{row['backend']} {row['precision']}: {row['times_floor']:.1f} times a copy, "
-                f"RMS {row['rms']:.5f}"
-                for row in rows
+                f"{row['backend']} {row['precision']}: {row['times_floor']:.1f} times a copy, RMS "
+                + ", ".join(
+                    f"{error['rms']:.5f} {_PLACES[region]}"
+                    for region, error in row["errors"].items()
+                )
+                for row in found["rows"]
+                if row["default"]
             ),
         ]
     )
+
+
+_PLACES = {
+    "inside": "inside the measured box",
+    "outside": "outside it",
+    "hemisphere": "over the hemisphere",
+}
 
 
 def _is_json_with(head: bytes, pattern: bytes) -> bool:

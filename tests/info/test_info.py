@@ -175,14 +175,20 @@ def truth(path: Path) -> None:
 
 
 def bench(path: Path) -> None:
-    row = {"backend": "fused", "precision": "float32", "times_floor": 3.25, "rms": 0.00123}
+    errors = {
+        region: {"readings": 10, "rms": rms, "log_error": 0.002}
+        for region, rms in (("inside", 0.00123), ("outside", 0.0321), ("hemisphere", 0.02))
+    }
+    row = {"backend": "avx2", "precision": "float32", "times_floor": 3.25, "errors": errors}
     content = {
         "sample": "yakogai",
         "simulated": True,
         "frame": [720, 1280],
-        "chosen": "lobes",
+        "runs": 9,
+        "default_nodes": 147744,
+        "interpolation": "lobes",
         "machine": {},
-        "rows": [{"scheme": "lobes", **row}, {"scheme": "log", **row}],
+        "rows": [{**row, "default": True}, {**row, "backend": "naive", "default": False}],
     }
     path.write_text(json.dumps(content, indent=2))
 
@@ -349,8 +355,9 @@ FILES: dict[Callable[[Path], None], tuple[str, ...]] = {
     ),
     bench: (
         "benchmark on yakogai (simulated), written by `raden bench`",
-        "frame 1280 x 720; 2 rows; chosen: lobes",
-        "fused float32: 3.2 times a copy, RMS 0.00123",
+        "frame 1280 x 720; 2 rows; default: lobes, 147744 nodes",
+        "avx2 float32: 3.2 times a copy, RMS 0.00123 inside the measured box, 0.03210 outside it, "
+        "0.02000 over the hemisphere",
     ),
     journal: (
         "journal of a scan of yakogai (simulated instruments), written by `raden scan`",
