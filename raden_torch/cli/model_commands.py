@@ -230,6 +230,9 @@ def export(
     quantity: Annotated[
         str, typer.Option("--quantity", help="radiance, or brdf (f_r in 1/sr, gbuffer only)")
     ] = "radiance",
+    form: Annotated[
+        str, typer.Option(help="runtime, or fit (the paper's formula and table: slower, editable)")
+    ] = "runtime",
     opset: Annotated[int, typer.Option(help="version of the ONNX operator set")] = 18,
     fixed: Annotated[
         bool,
@@ -249,6 +252,7 @@ def export(
             output,
             profile=profile,
             output=quantity,
+            form=form,
             opset=opset,
             fixed=fixed,
         )
