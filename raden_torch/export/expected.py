@@ -42,8 +42,9 @@ class Expected:
         region: `[B, 1, H, W]`, an index into `REGIONS`.
         sine: `[B, 1, H, W]`, |L × V|, of the light for which it is smallest.
         slope: `[B, 1, H, W]`, how much the value changes in one radian of the angles.
-        rounding: `[B, 1, H, W]`, how much it changes with the last bit of N: next to the horizon,
-            where a model may be infinitely steep, torch itself is no more exact.
+        rounding: `[B, 1, H, W]`, how much it changes with the last bit of N, or of V where a vector
+            had to be normalised: torch itself is no more exact next to the horizon, where a model
+            may be infinitely steep, and where L and V almost agree.
     """
 
     values: Tensor
@@ -78,19 +79,19 @@ def _gbuffer(form: Form, output: str, inputs: dict[str, Tensor]) -> Expected:
     if isinstance(form, FitForm):
         flips = (a < _ROUNDING) & (facing > 0) & (seen > 0)
         sides.append(torch.where(flips, form.at_angles(a, -r, -t), f))
-    groups = [sides, _nudged(form, a, r, t), _rounded(form, n, l, v)]
+    unit = torch.stack(
+        [(m == u).all(1, keepdim=True).expand_as(a) for m, u in zip(maps, (n, l, v), strict=True)]
+    ).all(0)
+    groups = [sides, _nudged(form, a, r, t), _rounded(form, n, l, v, unit)]
     values = torch.stack([f for group in groups for f in group])
     if output == "radiance":
         irradiance = inputs.get("irradiance", torch.full((1, 3, 1, 1), torch.pi))
         values = values * irradiance * facing.clamp(min=0) * inputs.get("exposure", 1.0)
     valid = torch.stack([_is_vector(m).expand_as(a) for m in maps]).all(0)
-    unit = torch.stack(
-        [(m == u).all(1, keepdim=True).expand_as(a) for m, u in zip(maps, (n, l, v), strict=True)]
-    )
     sine = _sine(l, v).expand_as(a)
     values, *others = values.split([len(group) for group in groups])
     nudge, rounding = ((x - values[0]).abs().amax(0).amax(1, keepdim=True) for x in others)
-    region = _regions(sine, valid, unit.all(0))
+    region = _regions(sine, valid, unit)
     return Expected(_masked(values, inputs), region, sine, nudge / _NUDGE, rounding)
 
 
@@ -102,10 +103,15 @@ def _nudged(form: Form, a: Tensor, r: Tensor, t: Tensor) -> list[Tensor]:
     return [form.at_angles(a + x, r + y, t + z) for x, y, z in moves]
 
 
-def _rounded(form: Form, n: Tensor, l: Tensor, v: Tensor) -> list[Tensor]:  # noqa: E741
-    """f_r with the last bit of one component of N changed."""
+def _rounded(form: Form, n: Tensor, l: Tensor, v: Tensor, unit: Tensor) -> list[Tensor]:  # noqa: E741
+    """f_r with the last bit of one component changed: of N, and of V where one was normalised."""
     moves = torch.eye(3).reshape(3, 1, 3, 1, 1) * _EPS
-    return [form.of_unit_vectors(n + move, l, v) for move in (*moves, *-moves)]
+    moves = torch.cat([moves, -moves])
+    normalised = (~unit).to(v.dtype)
+    return [
+        *(form.of_unit_vectors(n + move, l, v) for move in moves),
+        *(form.of_unit_vectors(n, l, v + move * normalised) for move in moves),
+    ]
 
 
 def _scene(form: Form, inputs: dict[str, Tensor]) -> Expected:

@@ -17,10 +17,11 @@ from torch import Tensor, nn
 from raden_torch.export.forms import RuntimeForm
 from raden_torch.geometry import XYZ_DIM
 
-Vector = tuple[Tensor, Tensor, Tensor]
-"""x, y, z, each `[..., 1, H, W]`."""
-
 _EPS = torch.finfo(torch.float32).eps
+_COEFFICIENTS = torch.tensor(
+    [[1.0, 0.0, 0.0, 0.0], [-1.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 1.0, 0.0], [1.0, -1.0, -1.0, 1.0]]
+)
+"""Of y z, y, z and 1 (columns), by the corners (1, 1), (1, 0), (0, 1) and (0, 0) of a cell."""
 
 
 def scaled(vectors: Tensor) -> tuple[Tensor, Tensor]:
@@ -33,12 +34,12 @@ def scaled(vectors: Tensor) -> tuple[Tensor, Tensor]:
 def unit(vectors: Tensor) -> Tensor:
     """`geometry.normalised` of `[..., 3, H, W]`; NaN where a vector is zero or not finite."""
     v, largest = scaled(vectors)
-    found = torch.sqrt(dot(v, v)) * largest
+    found = length(v) * largest
     is_unit = found.clamp(1 - 7.5 * _EPS, 1 + 7.5 * _EPS) == found
     return vectors / torch.where(is_unit, torch.ones(()), found)
 
 
-def xyz(vectors: Tensor) -> Vector:
+def xyz(vectors: Tensor) -> tuple[Tensor, ...]:
     """The three planes of `[..., 3, H, W]`."""
     x, y, z = vectors.split(1, XYZ_DIM)
     return x, y, z
@@ -51,8 +52,8 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 def length(v: Tensor) -> Tensor:
-    """|v|, `[..., 1, H, W]`: one operator, a little slower than the root of `dot`."""
-    return torch.linalg.vector_norm(v, 2, dim=XYZ_DIM, keepdim=True)
+    """|v|, `[..., 1, H, W]`."""
+    return torch.sqrt(dot(v, v))
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
@@ -94,30 +95,36 @@ class RuntimeGraph(nn.Module):
 
 
 def read(table: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:
-    """`runtime_table.read_at`, in two gathers, as a polynomial in the place within a cell."""
+    """`runtime_table.read_at`, in two gathers: four neighbours each, as a polynomial in v and w."""
     nu, nv, nw, channels = table.shape
-    half_v, half_w = (nv - 1) / 2, (nw - 1) / 2
-    x, y, z = u * (nu - 1), v * half_v + half_v, w * half_w + half_w
+    middle_v, middle_w = (nv - 1) // 2, (nw - 1) // 2
+    x, y, z = u * (nu - 1), _from_middle(v, nv), _from_middle(w, nw)
     i, j, k = x.floor(), y.floor(), z.floor()
-    slope, start = _packed(table)
-    node = ((i * nv + j) * nw + k).squeeze(XYZ_DIM).to(torch.int32).clamp(0, len(slope) - 1)
-    slope, start = (rows[node].movedim(-1, XYZ_DIM) for rows in (slope, start))
-    f = (x - i) * slope + start
+    rows = _packed(table)
+    node = i * (nv * nw) + j * nw + k + (middle_v * nw + middle_w)
+    last = len(rows) - 1 - nv * nw
+    first = node.squeeze(XYZ_DIM).to(torch.int32).clamp(0, last)  # whatever NaN becomes
+    near, far = (rows[at].movedim(-1, XYZ_DIM) for at in (first, first + nv * nw))
+    f = near + (x - i) * (far - near)
     for place, size in ((y - j, 2), (z - k, 1)):
         slope, start = f.split(size * channels, XYZ_DIM)
         f = place * slope + start
     return f
 
 
-def _packed(table: Tensor) -> tuple[Tensor, Tensor]:
-    """`[U, V, W, C]` → two of `[nodes, 4 C]`: at each node the coefficients of x y z, x y, x z and
-    x; and of y z, y, z and 1.
+def _from_middle(address: Tensor, count: int) -> Tensor:
+    """−1…1 → nodes from the middle one, or the one before the middle."""
+    position = address * ((count - 1) / 2)
+    return position if count % 2 else position + 0.5
+
+
+def _packed(table: Tensor) -> Tensor:
+    """`[U, V, W, C]` → `[nodes, 4 C]`: at each node the coefficients of y z, y, z and 1.
 
     A runtime does this at every call, or once where the table is a constant.
     """
-    _, nv, nw, channels = table.shape
-    rows = table.reshape(-1, channels)
-    for beyond in (1, nw):
-        start = rows[:-beyond]
-        rows = torch.cat([rows[beyond:] - start, start], 1)
-    return rows[nv * nw :] - rows[: -nv * nw], rows
+    nw, channels = table.shape[2:]
+    nodes = table.reshape(-1, channels)
+    count = len(nodes) - nw - 1
+    square = torch.cat([nodes[i : i + count] for i in (nw + 1, nw, 1, 0)], 1)
+    return square @ _COEFFICIENTS.kron(torch.eye(channels))

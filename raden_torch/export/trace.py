@@ -54,9 +54,14 @@ def _join(graph: onnx.GraphProto, names: dict[str, str]) -> None:
     made = {node.output[0]: node for node in graph.node}
     for node in list(graph.node):
         first = made.get(node.input[0]) if node.op_type in names else None
-        if first is not None and first.op_type == node.op_type and uses[node.input[0]] == 1:
+        joined = names.get(node.op_type)
+        if (
+            first is not None
+            and first.op_type in (node.op_type, joined)
+            and uses[node.input[0]] == 1
+        ):
             node.input[:] = [*first.input, *node.input[1:]]
-            node.op_type = names[node.op_type]
+            node.op_type = joined
             graph.node.remove(first)
 
 

@@ -20,8 +20,8 @@ from raden_torch.export.onnx_file import form_inside, metadata
 PROFILES = ("gbuffer", "scene")
 # fmt: off
 OPERATORS = {
-    "Abs", "Add", "Cast", "Clip", "Concat", "Div", "Equal", "Floor", "Gather", "Less",
-    "LessOrEqual", "Max", "Min", "Mul", "ReduceL2", "ReduceSum", "Relu", "Reshape", "Slice",
+    "Abs", "Add", "Cast", "Clip", "Concat", "Div", "Equal", "Floor", "Gather", "Greater", "Less",
+    "LessOrEqual", "MatMul", "Max", "Min", "Mul", "ReduceSum", "Relu", "Reshape", "Slice",
     "Split", "Sqrt", "Squeeze", "Sub", "Sum", "Transpose", "Unsqueeze", "Where",
 }
 # fmt: on
