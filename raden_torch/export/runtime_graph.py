@@ -101,7 +101,8 @@ def read(table: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:
     x, y, z = u * (nu - 1), _from_middle(v, nv), _from_middle(w, nw)
     i, j, k = x.floor(), y.floor(), z.floor()
     rows = _packed(table)
-    node = i * (nv * nw) + j * nw + k + (middle_v * nw + middle_w)
+    # nothing that `trace` joins: OpenCV corrupts memory in a `Sum` of maps of several sizes
+    node = (middle_v * nw + middle_w) + ((i * nv + j) * nw + k)
     last = len(rows) - 1 - nv * nw
     first = node.squeeze(XYZ_DIM).to(torch.int32).clamp(0, last)  # whatever NaN becomes
     near, far = (rows[at].movedim(-1, XYZ_DIM) for at in (first, first + nv * nw))

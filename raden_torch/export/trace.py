@@ -49,17 +49,17 @@ def trace(shader: Shader, ports: list[GraphInput], output: str, opset: int) -> o
 
 
 def _join(graph: onnx.GraphProto, names: dict[str, str]) -> None:
-    """(a + b) + c as one operator, and the like: torch has none of three operands."""
+    """(a + b) + c as one operator, and the like: torch has none of three operands.
+
+    The maps must be of one size: OpenCV corrupts memory in a `Sum` of others.
+    """
     uses = Counter(name for node in graph.node for name in node.input)
     made = {node.output[0]: node for node in graph.node}
     for node in list(graph.node):
-        first = made.get(node.input[0]) if node.op_type in names else None
-        joined = names.get(node.op_type)
-        if (
-            first is not None
-            and first.op_type in (node.op_type, joined)
-            and uses[node.input[0]] == 1
-        ):
+        joined, first = names.get(node.op_type), made.get(node.input[0])
+        if joined is None or first is None or uses[node.input[0]] > 1:
+            continue
+        if first.op_type == node.op_type:
             node.input[:] = [*first.input, *node.input[1:]]
             node.op_type = joined
             graph.node.remove(first)
