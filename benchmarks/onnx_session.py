@@ -210,8 +210,10 @@ def main() -> None:
         path = Path(folder) / "shell.onnx"
         rt.export_onnx(model, path)
         free = path.read_bytes()
+        rt.export_onnx(model, path, form="fit", fixed=True)
+        paper = path.read_bytes()
     fixed = fix_parameters(onnx.load_from_string(free)).SerializeToString()
-    files = {"interchange": free, "fixed": fixed}
+    files = {"interchange": free, "fixed": fixed, "fit form, fixed": paper}
     source = torch.zeros(6 * given.size**2)
     target = torch.empty_like(source)
     floor = lambda: target.copy_(source)  # noqa: E731 - 24 bytes a pixel read, 24 written
@@ -221,7 +223,7 @@ def main() -> None:
         "threads": os.cpu_count(),
         "load": os.getloadavg(),
         "file_bytes": {name: len(data) for name, data in files.items()},
-        "packed_table_bytes": 4 * model.table.values.numel() * 4,
+        "packed_table_bytes": 4 * 12 * model.layout.nodes,
         "speed": {
             "coherent": speed(files, coherent(given.size), floor),
             "random": speed(files, random(given.size), floor),

@@ -98,6 +98,8 @@ class ExportOptions:
     """gbuffer (normal, light, view) or scene (with camera and lights)"""
     quantity: str = "radiance"
     """radiance, or brdf (f_r in 1/sr, gbuffer only)"""
+    form: Literal["runtime", "fit"] = "runtime"
+    """runtime, or fit (the paper's formula and table: slower, editable)"""
     opset: int = 18
     """version of the ONNX operator set"""
     fixed: bool = False
@@ -121,6 +123,7 @@ def export(
             output,
             profile=how.profile,
             output=how.quantity,
+            form=how.form,
             opset=how.opset,
             fixed=how.fixed,
         )

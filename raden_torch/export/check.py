@@ -9,8 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.export.expected import REGIONS, Expected, expected
+from raden_torch.export.forms import Form
 from raden_torch.export.runtimes import Runtime, SkippedRuntime, one_line
 from raden_torch.export.stress_inputs import cases
 
@@ -58,7 +58,7 @@ class ExportReport:
     """An exported file and how it did against torch.
 
     Attributes:
-        profile, output: what was exported.
+        form, profile, output: what was exported.
         opset, ir_version, nodes: of the graph.
         bytes: of the file; 0 in the copy inside the file.
         torch: the version compared with.
@@ -66,6 +66,7 @@ class ExportReport:
         runtimes: one entry a runtime; the first is ONNX Runtime.
     """
 
+    form: str
     profile: str
     output: str
     opset: int
@@ -87,7 +88,7 @@ class ExportReport:
 
     def __str__(self) -> str:
         lines = [
-            f"{self.profile} profile, output {self.output}: {self.bytes} bytes, "
+            f"{self.form} form, {self.profile} profile, output {self.output}: {self.bytes} bytes, "
             f"{self.nodes} nodes, opset {self.opset}, IR {self.ir_version}",
             f"compared with torch {self.torch}; differences as shares of the peak {self.peak:.4g}",
         ]
@@ -105,9 +106,9 @@ class ExportReport:
 class StressSet:
     """The inputs of a profile and torch's pictures of them."""
 
-    def __init__(self, model: RadenBrdf, profile: str, output: str, *, fixed: bool = False) -> None:
-        self.cases = cases(model, profile, output, fixed=fixed)
-        self.expected = [expected(model, profile, output, case.inputs) for case in self.cases]
+    def __init__(self, form: Form, profile: str, output: str, *, fixed: bool = False) -> None:
+        self.cases = cases(form, profile, output, fixed=fixed)
+        self.expected = [expected(form, profile, output, case.inputs) for case in self.cases]
         largest = [float(e.values.abs().max()) for e in self.expected if e.values.numel()]
         self.peak = max([*largest, torch.finfo(torch.float32).tiny])
 
@@ -137,8 +138,9 @@ def _add(regions: dict[str, RegionResult], output: Tensor, wanted: Expected, pea
     if output.shape != wanted.values.shape[1:]:
         difference = torch.full_like(wanted.values[0, :, :1], torch.inf)
     else:
-        difference = (output - wanted.values).abs().amin(0).amax(1, keepdim=True) / peak
+        difference = (output - wanted.values).abs().amin(0).amax(1, keepdim=True)
         difference = torch.where(torch.isfinite(difference), difference, torch.inf)
+        difference = (difference - wanted.rounding).clamp(min=0) / peak
         scale = (wanted.sine / _ROUNDING_SHOWS).clamp(max=1)
         scaled = wanted.region == REGIONS.index("any length")
         difference = torch.where(scaled, difference * scale, difference)

@@ -9,12 +9,11 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
-from raden_torch.brdf.model import simd
-from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.shading.shade import shade
-from raden_torch.export.profiles import GAINS, ports
+from raden_torch.export.forms import FitForm, Form
+from raden_torch.export.profiles import ports
 
 REGIONS = ("general", "steep", "L near V", "any length", "L parallel to V", "not vectors")
 """`general`, `steep` and `L near V` hold vectors that are unit already, which nothing normalises
@@ -27,9 +26,10 @@ STEEP = 2.5
 """The model is steep where it changes by more than this times the peak in one radian, as in a
 narrow highlight and at the edge of the table: the angles' own rounding, 1e-6 rad, shows there."""
 
-_PARALLEL = 4 * torch.finfo(torch.float32).eps
 _NUDGE = 1e-3  # radians
 _ROUNDING = 2e-6  # a side of a seam is decided by roundings within this many radians
+_EPS = torch.finfo(torch.float32).eps
+_PARALLEL = 4 * _EPS
 
 
 @dataclass(frozen=True)
@@ -37,17 +37,21 @@ class Expected:
     """A picture to compare with.
 
     Attributes:
-        values: `[S, B, 3, H, W]`; more than one where a rounding decides on which side of a seam
-            (the horizon; a = 0, where the signs flip) a pixel lies: any of them is right.
+        values: `[S, B, 3, H, W]`; more than one where a rounding decides on which side of a seam a
+            pixel lies (the horizon; in the fit form a = 0, where the signs flip): any is right.
         region: `[B, 1, H, W]`, an index into `REGIONS`.
         sine: `[B, 1, H, W]`, |L × V|, of the light for which it is smallest.
         slope: `[B, 1, H, W]`, how much the value changes in one radian of the angles.
+        rounding: `[B, 1, H, W]`, how much it changes with the last bit of N, or of V where a vector
+            had to be normalised: torch itself is no more exact next to the horizon, where a model
+            may be infinitely steep, and where L and V almost agree.
     """
 
     values: Tensor
     region: Tensor
     sine: Tensor
     slope: Tensor
+    rounding: Tensor
 
     def regions(self, peak: float) -> Tensor:
         """`region`, with what is steep taken out of the general one."""
@@ -55,60 +59,67 @@ class Expected:
         return torch.where(steep, REGIONS.index("steep"), self.region)
 
 
-def expected(model: RadenBrdf, profile: str, output: str, inputs: dict[str, Tensor]) -> Expected:
-    """The picture by the eager model, with what the inputs override put into it."""
-    own = _overridden(model, profile, output, inputs)
-    with (
-        torch.no_grad(),
-        simd.using(simd.OFF),
-    ):  # the eager form is the reference
+def expected(form: Form, profile: str, output: str, inputs: dict[str, Tensor]) -> Expected:
+    """The picture by the form's eager code, with what the inputs override put into it."""
+    own = _overridden(form, profile, output, inputs)
+    with torch.no_grad():
         if profile == "scene":
             return _scene(own, inputs)
         return _gbuffer(own, output, inputs)
 
 
-def _gbuffer(model: RadenBrdf, output: str, inputs: dict[str, Tensor]) -> Expected:
+def _gbuffer(form: Form, output: str, inputs: dict[str, Tensor]) -> Expected:
     maps = [inputs[name] for name in ("normal", "light", "view")]
     n, l, v = (geometry.normalised(m) for m in maps)  # noqa: E741
-    f = model(*maps)
-    a, r, t = geometry.raden_angles(*maps)
-    other_sign = model.at_angles(a, -r, -t)
+    f = form.of_unit_vectors(n, l, v)
+    a, r, t = geometry.angles_from_unit_vectors(n, l, v)
     facing, seen = geometry.dot(n, l), geometry.dot(n, v)
     on_horizon = (facing.abs() < _ROUNDING) | (seen.abs() < _ROUNDING)
-    clear = (facing > 0) & (seen > 0)
-    sides = [
-        f,
-        torch.where((a < _ROUNDING) & clear, other_sign, f),
-        torch.where(on_horizon, torch.zeros_like(f), f),
-    ]
-    values = torch.stack([*sides, *_nudged(model, a, r, t)])
+    sides = [f, torch.where(on_horizon, torch.zeros_like(f), f)]
+    if isinstance(form, FitForm):
+        flips = (a < _ROUNDING) & (facing > 0) & (seen > 0)
+        sides.append(torch.where(flips, form.at_angles(a, -r, -t), f))
+    unit = torch.stack(
+        [(m == u).all(1, keepdim=True).expand_as(a) for m, u in zip(maps, (n, l, v), strict=True)]
+    ).all(0)
+    groups = [sides, _nudged(form, a, r, t), _rounded(form, n, l, v, unit)]
+    values = torch.stack([f for group in groups for f in group])
     if output == "radiance":
         irradiance = inputs.get("irradiance", torch.full((1, 3, 1, 1), torch.pi))
         values = values * irradiance * facing.clamp(min=0) * inputs.get("exposure", 1.0)
     valid = torch.stack([_is_vector(m).expand_as(a) for m in maps]).all(0)
-    unit = torch.stack(
-        [(m == u).all(1, keepdim=True).expand_as(a) for m, u in zip(maps, (n, l, v), strict=True)]
-    )
     sine = _sine(l, v).expand_as(a)
-    values, nudged = values[: len(sides)], values[len(sides) :]
-    slope = (nudged - values[0]).abs().amax(0).amax(1, keepdim=True) / _NUDGE
-    return Expected(_masked(values, inputs), _regions(sine, valid, unit.all(0)), sine, slope)
+    values, *others = values.split([len(group) for group in groups])
+    nudge, rounding = ((x - values[0]).abs().amax(0).amax(1, keepdim=True) for x in others)
+    region = _regions(sine, valid, unit)
+    return Expected(_masked(values, inputs), region, sine, nudge / _NUDGE, rounding)
 
 
-def _nudged(model: RadenBrdf, a: Tensor, r: Tensor, t: Tensor) -> list[Tensor]:
+def _nudged(form: Form, a: Tensor, r: Tensor, t: Tensor) -> list[Tensor]:
     """f_r with one of the angles a little larger or smaller."""
     moves = [
         tuple(sign * _NUDGE * (i == k) for i in range(3)) for k in range(3) for sign in (1, -1)
     ]
-    return [model.at_angles(a + x, r + y, t + z) for x, y, z in moves]
+    return [form.at_angles(a + x, r + y, t + z) for x, y, z in moves]
 
 
-def _scene(model: RadenBrdf, inputs: dict[str, Tensor]) -> Expected:
+def _rounded(form: Form, n: Tensor, l: Tensor, v: Tensor, unit: Tensor) -> list[Tensor]:  # noqa: E741
+    """f_r with the last bit of one component changed: of N, and of V where one was normalised."""
+    moves = torch.eye(3).reshape(3, 1, 3, 1, 1) * _EPS
+    moves = torch.cat([moves, -moves])
+    normalised = (~unit).to(v.dtype)
+    return [
+        *(form.of_unit_vectors(n + move, l, v) for move in moves),
+        *(form.of_unit_vectors(n, l, v + move * normalised) for move in moves),
+    ]
+
+
+def _scene(form: Form, inputs: dict[str, Tensor]) -> Expected:
     normal, position = inputs["normal"], inputs["position"]
     camera = inputs["camera"].expand(len(normal), 3)
     gbuffer = GBuffer(normal, position=position, camera=camera)
     lights = lights_of(inputs["light"], inputs["light_colour"])
-    image = shade(model, gbuffer, lights) * inputs.get("exposure", 1.0)
+    image = shade(form, gbuffer, lights) * inputs.get("exposure", 1.0)
     view = camera[:, :, None, None] - position
     valid = _is_vector(normal) & _is_vector(view)
     sine = torch.ones_like(normal[:, :1]).double()
@@ -116,7 +127,8 @@ def _scene(model: RadenBrdf, inputs: dict[str, Tensor]) -> Expected:
         direction = geometry.normalised(light.at(position, normal)[0])
         sine = torch.minimum(sine, _sine(direction, geometry.normalised(view)))
     region = _regions(sine, valid, torch.zeros_like(valid))
-    return Expected(_masked(image[None], inputs), region, sine, torch.zeros_like(sine))
+    nothing = torch.zeros_like(sine)
+    return Expected(_masked(image[None], inputs), region, sine, nothing, nothing)
 
 
 def lights_of(light: Tensor, colour: Tensor) -> list[Light]:
@@ -127,17 +139,11 @@ def lights_of(light: Tensor, colour: Tensor) -> list[Light]:
     ]
 
 
-def _overridden(
-    model: RadenBrdf, profile: str, output: str, inputs: dict[str, Tensor]
-) -> RadenBrdf:
-    own = copy.deepcopy(model).float()
+def _overridden(form: Form, profile: str, output: str, inputs: dict[str, Tensor]) -> Form:
+    own = copy.deepcopy(form)
     tensors = own.state_dict()
-    for port in ports(model, profile, output):
-        if port.parameter is None or port.name not in inputs:
-            continue
-        if port.parameter in GAINS:
-            setattr(own, port.parameter, float(inputs[port.name]))
-        else:
+    for port in ports(form, profile, output):
+        if port.parameter is not None and port.name in inputs:
             tensors[port.parameter].copy_(inputs[port.name])
     return own
 

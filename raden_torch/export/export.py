@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 from collections.abc import Sequence
@@ -17,6 +16,7 @@ from raden_torch.errors import InputError, check_type
 from raden_torch.export import onnx_file
 from raden_torch.export.check import ExportReport, RuntimeResult, StressSet
 from raden_torch.export.constants import fix_parameters, is_fixed
+from raden_torch.export.forms import Form, form_of
 from raden_torch.export.profiles import check_profile, ports
 from raden_torch.export.runtimes import load_onnxruntime, load_others, one_line
 from raden_torch.files import check_output, written_beside
@@ -35,6 +35,7 @@ def export_onnx(
     *,
     profile: str = "gbuffer",
     output: str = "radiance",
+    form: str = "runtime",
     opset: int = onnx_file.OPSET,
     fixed: bool = False,
 ) -> ExportReport:
@@ -46,17 +47,19 @@ def export_onnx(
         profile: "gbuffer": normal, light and view maps; "scene": normals, positions, a camera and
             any number of lights. See docs/export.md.
         output: "radiance" (scene-linear RGB) or "brdf" (f_r in 1/sr; gbuffer only).
+        form: "runtime": the table over the whole hemisphere that the model itself is read through;
+            "fit": the paper's eq. (2), whose diffuse parameters and gains are inputs, and slower.
         opset: of the ONNX operators; the oldest, 18, runs in most programs.
-        fixed: the model's parameters are constants. Runtimes then pack the table once, not at every
+        fixed: the form's parameters are constants. Runtimes then pack the table once, not at every
             call, which pays in small pictures and tiles; no other shell can be shown by the file.
 
     Returns:
         How far ONNX Runtime is from torch, by region; also stored in the file.
 
     Raises:
-        InputError: no such profile, output or opset; a model in half precision, not finite or not
-            on the CPU; `path` cannot be written; a package is missing; or the pictures differ, in
-            which case there is no file.
+        InputError: no such profile, output, form or opset; a model in half precision, not finite or
+            not on the CPU; `path` cannot be written; a package is missing; or the pictures differ,
+            in which case there is no file.
 
     Examples:
         >>> import raden_torch as rt
@@ -70,12 +73,13 @@ def export_onnx(
     if opset not in OPSETS:
         raise InputError(f"opset: expected {OPSETS[0]} to {OPSETS[-1]}, got {opset}")
     target = check_output(path, (".onnx",))
-    own = _float32(model)
+    _check_exportable(model)
+    made = form_of(model, form)
     require("exported shaders", "export")
-    graph = _graph(own, profile, output, opset)
+    graph = _graph(model, made, profile, output, opset)
     if fixed:
         fix_parameters(graph)
-    stress = StressSet(own, profile, output, fixed=fixed)
+    stress = StressSet(made, profile, output, fixed=fixed)
     report = _report(graph, stress, [_in_onnxruntime(stress, graph.SerializeToString())])
     if report.failures:
         raise InputError(f"{target}: not written: {report.failures[0]}")
@@ -96,7 +100,7 @@ def verify_onnx(
 ) -> ExportReport:
     """Check a file that `export_onnx` wrote in every runtime on this machine.
 
-    The model is rebuilt from the file alone; torch's picture of it is compared with each runtime's.
+    The form is rebuilt from the file alone; torch's picture of it is compared with each runtime's.
 
     Args:
         node_modules: a folder with onnxruntime-node, or onnxruntime-web and playwright-core, to run
@@ -122,13 +126,13 @@ def verify_onnx(
     return report
 
 
-def _graph(model: RadenBrdf, profile: str, output: str, opset: int) -> onnx.ModelProto:
+def _graph(model: RadenBrdf, form: Form, profile: str, output: str, opset: int) -> onnx.ModelProto:
     from raden_torch.export.shaders import Shader
     from raden_torch.export.trace import trace
 
-    inputs = ports(model, profile, output)
-    traced = trace(Shader(model, profile, output, inputs), inputs, output, opset)
-    return onnx_file.finished(traced, model, profile, output)
+    inputs = ports(form, profile, output)
+    traced = trace(Shader(form, profile, output, inputs), inputs, output, opset)
+    return onnx_file.finished(traced, model, form, profile, output)
 
 
 def _report(
@@ -136,6 +140,7 @@ def _report(
 ) -> ExportReport:
     texts = onnx_file.metadata(graph)
     return ExportReport(
+        form=texts["form"],
         profile=texts["profile"],
         output=texts["output"],
         opset=next(o.version for o in graph.opset_import if o.domain in ("", "ai.onnx")),
@@ -161,8 +166,7 @@ def _verified(data: bytes, node_modules: Path | None, pythons: Sequence[Path]) -
             f"shader format: expected {onnx_file.FORMAT_VERSION}, got {version!r}; export it again"
         )
     profile, output = texts.get("profile", ""), texts.get("output", "")
-    model = onnx_file.model_of(graph)
-    stress = StressSet(model, profile, output, fixed=is_fixed(graph))
+    stress = StressSet(onnx_file.form_inside(graph), profile, output, fixed=is_fixed(graph))
     others = load_others(data, node_modules=node_modules, pythons=pythons)
     runtimes = [_in_onnxruntime(stress, data), *(stress.run(r) for r in others)]
     return _report(graph, stress, runtimes)
@@ -179,8 +183,8 @@ def _in_onnxruntime(stress: StressSet, data: bytes) -> RuntimeResult:
         ) from None
 
 
-def _float32(model: RadenBrdf) -> RadenBrdf:
-    """A float32 copy of a model that can be exported."""
+def _check_exportable(model: RadenBrdf) -> None:
+    """Raise InputError unless it is in single or double precision, on the CPU, and finite."""
     for name, tensor in model.state_dict().items():
         if tensor.device.type != "cpu":
             raise InputError(
@@ -191,4 +195,3 @@ def _float32(model: RadenBrdf) -> RadenBrdf:
             raise InputError(f"{name}: expected float32, got {tensor.dtype}: call model.float()")
         if not torch.isfinite(tensor).all():
             raise InputError(f"{name}: expected finite values, got some that are not")
-    return copy.deepcopy(model).float().requires_grad_(False).eval()

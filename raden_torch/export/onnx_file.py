@@ -12,10 +12,11 @@ import torch
 from torch import Tensor
 
 import raden_torch
-from raden_torch.brdf.files.model_file import COLOUR, QUANTITY, assemble, describe
+from raden_torch.brdf.files.model_file import COLOUR, QUANTITY, describe
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
-from raden_torch.export.profiles import GAINS, GraphInput, output_doc, ports
+from raden_torch.export.forms import FitForm, Form, RuntimeForm, form_from
+from raden_torch.export.profiles import GraphInput, output_doc, ports
 from raden_torch.export.runtimes import one_line
 from raden_torch.export.trace import PUBLIC
 from raden_torch.packages import require
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     import onnx
 
 FORMAT = "raden_torch shader"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 OPSET, IR_VERSION = 18, 8
 """The oldest pair that the exporter writes: ONNX Runtime 1.16 and everything newer reads it."""
 
@@ -44,12 +45,12 @@ _INVALID = (
 
 
 def finished(
-    graph: onnx.ModelProto, model: RadenBrdf, profile: str, output: str
+    graph: onnx.ModelProto, model: RadenBrdf, form: Form, profile: str, output: str
 ) -> onnx.ModelProto:
     """The traced graph with names, texts and defaults, and nothing of the machine that made it."""
     import onnx
 
-    inputs = ports(model, profile, output)
+    inputs = ports(form, profile, output)
     _strip(graph)
     _rename(graph.graph)
     graph.ir_version = max(IR_VERSION, onnx.helper.find_min_ir_version_for(graph.opset_import))
@@ -66,7 +67,7 @@ def finished(
             graph.graph.initializer.append(onnx.numpy_helper.from_array(values, port.name))
     shape = ("batch", 3, "height", "width")
     graph.graph.output.append(_value_info(output, shape, output_doc(output)))
-    onnx.helper.set_model_props(graph, _metadata(model, inputs, profile, output))
+    onnx.helper.set_model_props(graph, _metadata(model, form, inputs, profile, output))
     return graph
 
 
@@ -92,8 +93,8 @@ def metadata(graph: onnx.ModelProto) -> dict[str, str]:
     return {entry.key: entry.value for entry in graph.metadata_props}
 
 
-def model_of(graph: onnx.ModelProto) -> RadenBrdf:
-    """The model inside a file, from its defaults and its texts alone.
+def form_inside(graph: onnx.ModelProto) -> Form:
+    """The form inside a file, from its defaults and its texts alone.
 
     Raises:
         InputError: a tensor is missing, or is not the one that was exported.
@@ -110,8 +111,7 @@ def model_of(graph: onnx.ModelProto) -> RadenBrdf:
         }
         if _digest(tensors) != texts["parameters_sha256"]:
             raise InputError("its tensors are not the ones that were exported (sha256 differs)")
-        about |= {gain: float(tensors.pop(gain)) for gain in GAINS if gain in tensors}
-        return assemble(about, tensors)
+        return form_from(texts["form"], about, tensors)
     except InputError:
         raise
     except (
@@ -122,7 +122,7 @@ def model_of(graph: onnx.ModelProto) -> RadenBrdf:
 
 
 def _metadata(
-    model: RadenBrdf, inputs: list[GraphInput], profile: str, output: str
+    model: RadenBrdf, form: Form, inputs: list[GraphInput], profile: str, output: str
 ) -> dict[str, str]:
     """All texts but the report of the check, which comes last."""
     about = model.provenance
@@ -132,6 +132,7 @@ def _metadata(
         "format": FORMAT,
         "format_version": str(FORMAT_VERSION),
         "library": f"raden_torch {raden_torch.__version__}",
+        "form": "fit" if isinstance(form, FitForm) else "runtime",
         "profile": profile,
         "output": output,
         "quantity": QUANTITY if output == "brdf" else "radiance, sum of f_r E cos(theta_i)",
@@ -139,6 +140,7 @@ def _metadata(
         "colour_space": COLOUR,
         "vector_convention": _VECTORS,
         "angle_convention": _ANGLES,
+        "table_address": _address(form),
         "valid_range": _valid_range(model),
         "outside_valid_range": f"{_beyond(model)}; {_INVALID}",
         "optional_inputs": ", ".join(p.name for p in inputs if p.default is not None),
@@ -150,6 +152,19 @@ def _metadata(
         "parameters_sha256": _digest(tensors),
         "model": json.dumps(describe(model), default=float),
     }
+
+
+def _address(form: Form) -> str:
+    """Where a geometry lies in the table."""
+    if not isinstance(form, RuntimeForm):
+        return "incidence, receiving and tilt, as the model text says"
+    c, k = form.warp
+    return (
+        "with d = V - L, m = N.L + N.V: u = |d| / (2 + sqrt(4 - d.d)), from 0 to 1; "
+        f"v = N.d / (|N.d| + {c:g} |d| min(N.L, N.V)), from -1 to 1; with z = N.(Lxd): "
+        f"w = z / (|z| + {k / 2:g} |d| m), from -1 to 1; L parallel to V: u = w = 0, "
+        f"v = s / (s + {c:g} N.L) with s = |NxL|; nodes are evenly spaced, trilinear between"
+    )
 
 
 def _about_in_words(model: RadenBrdf) -> str:

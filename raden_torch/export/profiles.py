@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
+from raden_torch.export.forms import Form
 
 PROFILES = ("gbuffer", "scene")
 OUTPUTS = ("radiance", "brdf")
 
-GAINS = ("diffuse_gain", "specular_gain")
 _NORMAL = (
     "surface normal; of any length; zero or not finite marks an invalid pixel, which becomes 0"
 )
 _MASK = "how much of the pixel is this material, 0 to 1; NaN counts as 0"
 _EXPOSURE = "linear factor on the output, 2 ** stops"
 _PARAMETERS = {
+    "table": ("table", "f_r in 1/sr at the nodes of u, v and w; see the text table_address"),
     "table.values": ("table", "total f_r in 1/sr at the nodes of incidence, receiving and tilt"),
     "diffuse.scale": ("diffuse_scale", "S of the diffuse part, per channel, in 1/sr"),
     "diffuse.exponent": ("diffuse_exponent", "n of the diffuse part, per channel, > 0"),
@@ -69,15 +69,15 @@ def check_profile(profile: str, output: str) -> None:
         )
 
 
-def ports(model: RadenBrdf, profile: str, output: str) -> list[GraphInput]:
+def ports(form: Form, profile: str, output: str) -> list[GraphInput]:
     """The inputs in their order: required ones first, then those with a default."""
     check_profile(profile, output)
     if profile == "scene":
-        return [*_scene_ports(), _mask_port(), _exposure_port(), *_parameter_ports(model)]
+        return [*_scene_ports(), _mask_port(), _exposure_port(), *_parameter_ports(form)]
     light = [*_gbuffer_ports(), _mask_port()]
     if output == "radiance":
         light += [_irradiance_port(), _exposure_port()]
-    return light + _parameter_ports(model)
+    return light + _parameter_ports(form)
 
 
 def output_doc(output: str) -> str:
@@ -143,15 +143,11 @@ def _exposure_port() -> GraphInput:
     return GraphInput("exposure", (), _EXPOSURE, torch.ones(()))
 
 
-def _parameter_ports(model: RadenBrdf) -> list[GraphInput]:
-    """Every tensor of the model, so that one file serves many shells, and its gains."""
-    values = {name: value.detach() for name, value in model.state_dict().items()}
-    for gain, part in zip(GAINS, (model.diffuse, model.table), strict=True):
-        if part is not None:
-            values[gain] = torch.as_tensor(float(getattr(model, gain)))
+def _parameter_ports(form: Form) -> list[GraphInput]:
+    """Every tensor of the form, so that one file serves many shells."""
     found = []
-    for name, value in values.items():
+    for name, tensor in form.state_dict().items():
         doc = _PARAMETERS.get(name, ("", f"{name} of the model"))[1]
-        default = value.float() if value.is_floating_point() else value
-        found.append(GraphInput(port_name(name), tuple(value.shape), doc, default, name))
+        shape = tuple(tensor.shape)
+        found.append(GraphInput(port_name(name), shape, doc, tensor.detach().float(), name))
     return found

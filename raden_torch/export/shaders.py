@@ -1,4 +1,4 @@
-"""The modules that are traced: the model's own eager code, between named inputs and one output."""
+"""The modules that are traced: a form of the model between named inputs and one output."""
 
 from __future__ import annotations
 
@@ -7,49 +7,65 @@ import copy
 import torch
 from torch import Tensor, nn
 
-from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.export.component_form import PlanarBrdf, unit, xyz
-from raden_torch.export.profiles import GAINS, GraphInput
+from raden_torch import geometry
+from raden_torch.export.forms import FitForm, Form
+from raden_torch.export.profiles import GraphInput
+from raden_torch.export.runtime_graph import RuntimeGraph, dot
 
 
 class Shader(nn.Module):
-    """A profile over a model: tensors in the order of the ports → `[B, 3, H, W]`.
+    """A profile over a form: tensors in the order of the ports → `[B, 3, H, W]`.
 
-    The model's parameters arrive as inputs too, so that the exporter folds none of them away.
+    The form's parameters arrive as inputs too, so that the exporter folds none of them away.
     """
 
-    def __init__(
-        self, model: RadenBrdf, profile: str, output: str, ports: list[GraphInput]
-    ) -> None:
+    def __init__(self, form: Form, profile: str, output: str, ports: list[GraphInput]) -> None:
         super().__init__()
         self.ports = ports
-        own = _with_gains_as_tensors(model)
-        self.inner = SceneShading(own) if profile == "scene" else GBufferShading(own, output)
+        own = copy.deepcopy(form)
+        reflection = EagerGraph(own) if isinstance(own, FitForm) else RuntimeGraph(own)
+        scene = profile == "scene"
+        self.inner = SceneShading(reflection) if scene else GBufferShading(reflection, output)
 
     def forward(self, *tensors: Tensor) -> Tensor:
         given = {port.name: t for port, t in zip(self.ports, tensors, strict=True)}
         parameters = {
-            f"model.{port.parameter}": given.pop(port.name)
+            f"reflection.form.{port.parameter}": given.pop(port.name)
             for port in self.ports
             if port.parameter is not None
         }
         return torch.func.functional_call(self.inner, parameters, (given,), strict=False)
 
 
+class EagerGraph(nn.Module):
+    """A form's own eager code, of vectors of any length; as `RuntimeGraph`."""
+
+    def __init__(self, form: FitForm) -> None:
+        super().__init__()
+        self.form = form
+
+    def forward(self, normal: Tensor, light: Tensor, view: Tensor) -> tuple[Tensor, ...]:
+        n, l, v = (geometry.normalised(m) for m in (normal, light, view))  # noqa: E741
+        n_l, n_v = geometry.dot(n, l), geometry.dot(n, v)
+        f = self.form.at_angles(*geometry.angles_from_unit_vectors(n, l, v))
+        return f, n_l, torch.minimum(n_l, n_v), n_l + n_v
+
+
 class GBufferShading(nn.Module):
     """f_r, or the radiance under one light, of a G-buffer of unit or other vectors."""
 
-    def __init__(self, model: RadenBrdf, output: str) -> None:
+    def __init__(self, reflection: nn.Module, output: str) -> None:
         super().__init__()
-        self.model = PlanarBrdf(model)
+        self.reflection = reflection
         self.output = output
 
     def forward(self, given: dict[str, Tensor]) -> Tensor:
-        n, l, v = (unit(given[name]) for name in ("normal", "light", "view"))  # noqa: E741
-        f, n_l = self.model(n, l, v)
+        f, cosine, least, both = self.reflection(given["normal"], given["light"], given["view"])
+        factor = given["mask"].clamp(max=1)
         if self.output == "radiance":
-            f = f * n_l * (given["irradiance"] * given["exposure"])
-        return _masked(f, given["mask"])
+            factor = cosine * factor * (given["irradiance"] * given["exposure"])
+        shows = torch.minimum(least, given["mask"])
+        return _lit(f * factor, shows, both)
 
 
 class SceneShading(nn.Module):
@@ -58,41 +74,32 @@ class SceneShading(nn.Module):
     The lights are a dimension of their own, `[B, K, 3, H, W]`, so that K is free.
     """
 
-    def __init__(self, model: RadenBrdf) -> None:
+    def __init__(self, reflection: nn.Module) -> None:
         super().__init__()
-        self.model = PlanarBrdf(model)
+        self.reflection = reflection
 
     def forward(self, given: dict[str, Tensor]) -> Tensor:
         position = given["position"].unsqueeze(1)
         camera = given["camera"][:, None, :, None, None]
-        n, v = unit(given["normal"].unsqueeze(1)), unit(camera - position)
         placed, colour = (given[name][None, :, :, None, None] for name in ("light", "light_colour"))
         near = (placed[:, :, 3:] > 0).float()
         to_light = placed[:, :, :3] - near * position
-        x, y, z = xyz(to_light)
-        distance_squared = near * (x * x + y * y + z * z) + (1 - near)
-        f, n_l = self.model(n, unit(to_light), v)
-        image = f * (n_l / distance_squared) * colour
-        return _masked(_finite(image).sum(1) * given["exposure"], given["mask"])
+        f, cosine, *cosines = self.reflection(
+            given["normal"].unsqueeze(1), to_light, camera - position
+        )
+        distance_squared = near * dot(to_light, to_light) + (1 - near)
+        image = f * (cosine / distance_squared) * (colour * given["exposure"])
+        return _lit(image, *cosines).sum(1) * _share(given["mask"])
 
 
-def _masked(image: Tensor, mask: Tensor) -> Tensor:
-    """Times the mask, 0 where either is not finite."""
-    inside = torch.where(torch.isnan(mask), torch.zeros_like(mask), mask).clamp(0, 1)
-    return _finite(image) * inside
+def _lit(image: Tensor, shows: Tensor, both: Tensor) -> Tensor:
+    """0 unless `shows` is above 0, and where the sum of both cosines is not finite.
+
+    One condition a pixel: one for each channel would take three times as long.
+    """
+    return torch.where(0 * both < shows, image, torch.zeros(()))
 
 
-def _finite(image: Tensor) -> Tensor:
-    """0 where it is not finite. Comparing does this in one pass; `IsNaN` and `IsInf` take two."""
-    return torch.where(image.abs() < torch.inf, image, torch.zeros(()))
-
-
-def _with_gains_as_tensors(model: RadenBrdf) -> RadenBrdf:
-    """A float32 copy whose gains are buffers, which a traced graph can take as inputs."""
-    own = copy.deepcopy(model).float().requires_grad_(False).eval()
-    for gain, part in zip(GAINS, (own.diffuse, own.table), strict=True):
-        if part is not None:
-            value = torch.as_tensor(float(getattr(own, gain)))
-            delattr(own, gain)
-            own.register_buffer(gain, value)
-    return own
+def _share(mask: Tensor) -> Tensor:
+    """Within 0…1; NaN counts as 0."""
+    return torch.where(mask > 0, mask, torch.zeros(())).clamp(max=1)

@@ -8,7 +8,7 @@ from itertools import product
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.export.forms import Form
 from raden_torch.export.profiles import GraphInput, ports
 
 _SEED = 2012
@@ -28,11 +28,11 @@ class StressCase:
         return set(self.inputs) <= required and all(t.numel() for t in self.inputs.values())
 
 
-def cases(model: RadenBrdf, profile: str, output: str, *, fixed: bool = False) -> list[StressCase]:
+def cases(form: Form, profile: str, output: str, *, fixed: bool = False) -> list[StressCase]:
     """The stress set of a profile; the same numbers every time.
 
     Args:
-        fixed: the model's parameters are constants in the file, and no inputs.
+        fixed: the form's parameters are constants in the file, and no inputs.
     """
     draw = torch.Generator().manual_seed(_SEED)
     if profile == "scene":
@@ -43,7 +43,7 @@ def cases(model: RadenBrdf, profile: str, output: str, *, fixed: bool = False) -
         ordinary = _vectors((2, 6, 5), draw)
     changed = {
         p.name: _changed(p)
-        for p in ports(model, profile, output)
+        for p in ports(form, profile, output)
         if p.default is not None and not (fixed and p.parameter)
     }
     masked = _mask((2, 6, 5), draw)
@@ -177,7 +177,7 @@ def _changed(port: GraphInput) -> Tensor:
     """Another shell, or another exposure, of the same shape."""
     assert port.default is not None
     ramp = torch.linspace(0.7, 1.1, port.default.numel()).reshape(port.default.shape)
-    return port.default * ramp if port.default.is_floating_point() else port.default
+    return port.default * ramp
 
 
 def _uniform(shape: tuple[int, ...], draw: torch.Generator) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -42,7 +43,26 @@ def trace(shader: Shader, ports: list[GraphInput], output: str, opset: int) -> o
             verbose=False,
         )
     assert program is not None  # it is None for the exporter before dynamo only
-    return program.model_proto
+    graph = program.model_proto
+    _join(graph.graph, {"Add": "Sum", "Max": "Max"})
+    return graph
+
+
+def _join(graph: onnx.GraphProto, names: dict[str, str]) -> None:
+    """(a + b) + c as one operator, and the like: torch has none of three operands.
+
+    The maps must be of one size: OpenCV corrupts memory in a `Sum` of others.
+    """
+    uses = Counter(name for node in graph.node for name in node.input)
+    made = {node.output[0]: node for node in graph.node}
+    for node in list(graph.node):
+        joined, first = names.get(node.op_type), made.get(node.input[0])
+        if joined is None or first is None or uses[node.input[0]] > 1:
+            continue
+        if first.op_type == node.op_type:
+            node.input[:] = [*first.input, *node.input[1:]]
+            node.op_type = joined
+            graph.node.remove(first)
 
 
 def _dynamic(port: GraphInput) -> dict[int, Any]:

@@ -48,8 +48,8 @@ def _of_ours(texts: dict[str, str]) -> list[str]:
     return [
         f"shader of {texts.get('sample') or 'an unnamed sample'} ({kind}), "
         f"written by `raden export`, {texts.get('library', '')}",
-        f"profile {texts.get('profile')}, output {texts.get('output')}: {texts.get('quantity')}; "
-        f"units: {texts.get('units')}",
+        f"{texts.get('form', 'fit')} form, profile {texts.get('profile')}, "
+        f"output {texts.get('output')}: {texts.get('quantity')}; units: {texts.get('units')}",
         f"instrument: {texts.get('instrument') or 'not named'}",
         f"measured angles: {texts.get('valid_range')}",
         f"measurement sha256: {texts.get('measurement_sha256') or 'not known'}",

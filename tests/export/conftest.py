@@ -15,6 +15,7 @@ import raden_torch as rt
 from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.export import export as export_module
 from raden_torch.export.check import ExportReport, StressSet
+from raden_torch.export.forms import Form
 
 
 @dataclass(frozen=True)
@@ -37,13 +38,17 @@ def matt() -> rt.RadenBrdf:
     )
 
 
-def everything_in(model: rt.RadenBrdf) -> Hashable:
-    """All that a model's pictures depend on."""
-    tensors = model.state_dict().items()
-    table = model.table and (model.table.first_deg, model.table.step_deg, model.table.pieces)
+def everything_in(form: Form) -> Hashable:
+    """All that a form's pictures depend on."""
+    tensors = form.state_dict().items()
+    table = form.table
+    layout = getattr(form, "warp", None) or (
+        table and (table.first_deg, table.step_deg, table.pieces)
+    )
     return (
-        tuple((name, str(v.dtype), *v.shape, v.double().numpy().tobytes()) for name, v in tensors),
-        repr((model.diffuse_gain, model.specular_gain, table)),
+        type(form),
+        tuple((name, *v.shape, v.double().numpy().tobytes()) for name, v in tensors),
+        repr(layout),
     )
 
 
@@ -53,16 +58,16 @@ def _each_model_once() -> Iterator[None]:
     traced: dict[Hashable, onnx.ModelProto] = {}
     made: dict[Hashable, StressSet] = {}
 
-    def graph(model: rt.RadenBrdf, *options: str | int) -> onnx.ModelProto:
-        key = (everything_in(model), repr(model.provenance), *options)
+    def graph(model: rt.RadenBrdf, form: Form, *options: str | int) -> onnx.ModelProto:
+        key = (everything_in(form), repr(model.provenance), *options)
         if key not in traced:
-            traced[key] = trace(model, *options)
+            traced[key] = trace(model, form, *options)
         return copy.deepcopy(traced[key])
 
-    def stress_set(model: rt.RadenBrdf, *options: str, fixed: bool = False) -> StressSet:
-        key = (everything_in(model), *options, fixed)
+    def stress_set(form: Form, *options: str, fixed: bool = False) -> StressSet:
+        key = (everything_in(form), *options, fixed)
         if key not in made:
-            made[key] = StressSet(model, *options, fixed=fixed)
+            made[key] = StressSet(form, *options, fixed=fixed)
         return made[key]
 
     trace = export_module._graph

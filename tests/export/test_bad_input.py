@@ -49,6 +49,7 @@ def unchecked(path: Path) -> onnx.ModelProto:
             {"profile": "scene", "output": "brdf"},
             ("expected radiance from the scene profile", "got 'brdf'"),
         ),
+        ({"form": "paper"}, ("form: expected one of runtime, fit, got 'paper'",)),
         ({"opset": 17}, ("opset: expected 18 to 21, got 17",)),
         ({"opset": 99}, ("opset: expected 18 to 21, got 99",)),
     ],
@@ -121,8 +122,8 @@ def test_a_wrong_picture_is_not_kept(
     exported: Callable, matt: rt.RadenBrdf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     graph = unchecked(exported(matt, output="brdf").path)
-    logarithm = next(node for node in graph.graph.node if node.op_type == "Log")
-    logarithm.op_type = "Sin"
+    root = next(node for node in graph.graph.node if node.op_type == "Sqrt")
+    root.op_type = "Abs"
     monkeypatch.setattr(export_module, "_graph", lambda *_: graph)
     call = lambda: export_onnx(matt, tmp_path / "x.onnx", output="brdf")  # noqa: E731
     refused(tmp_path, call, "not written", "expected an image within")
@@ -167,13 +168,13 @@ def test_changed_tensors_and_newer_formats(
     changed = tmp_path / "changed.onnx"
     for entry in graph.metadata_props:
         if entry.key == "format_version":
-            entry.value = "2"
+            entry.value = "3"
     onnx.save(graph, changed)
-    refused(tmp_path, lambda: verify_onnx(changed), "shader format: expected 1, got '2'")
+    refused(tmp_path, lambda: verify_onnx(changed), "shader format: expected 2, got '3'")
     graph = onnx.load(exported(matt, output="brdf").path)
     for tensor in graph.graph.initializer:
-        if tensor.name == "diffuse_scale":
+        if tensor.name == "table":
             values = 2 * onnx.numpy_helper.to_array(tensor)
-            tensor.CopyFrom(onnx.numpy_helper.from_array(values, "diffuse_scale"))
+            tensor.CopyFrom(onnx.numpy_helper.from_array(values, "table"))
     onnx.save(graph, changed)
     refused(tmp_path, lambda: verify_onnx(changed), "sha256 differs")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,11 +14,15 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
+from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.brdf.shading.sphere_gbuffer import sphere
+from raden_torch.errors import InputError
 from raden_torch.export.check import LIMITS
+from raden_torch.export.constants import fix_parameters
 from raden_torch.export.export import verify_onnx
 from raden_torch.export.onnx_file import metadata
 from raden_torch.export.runtimes import onnx_session
+from raden_torch.export.shader_session import ShaderSession
 
 SHARE = 5e-6
 """Of the peak."""
@@ -61,31 +67,104 @@ def test_any_size(exported: Callable, shell: rt.RadenBrdf, size: tuple[int, int,
     torch.testing.assert_close(output, wanted, rtol=1e-5, atol=1e-5)
 
 
-def test_another_shell_in_the_same_file(exported: Callable, shell: rt.RadenBrdf) -> None:
+def test_the_picture_in_double_precision(exported: Callable, shell: rt.RadenBrdf) -> None:
+    """Unit vectors: within the limit of the model's own form in float64, not only of float32."""
+    maps = unit_maps((1, 96, 96))
+    apart = torch.linalg.cross(maps["light"], maps["view"], dim=1).norm(dim=1, keepdim=True) > 0.1
+    with torch.no_grad():
+        wanted = shell(*(m.double() for m in maps.values()))
+    output = run(exported(shell, output="brdf").path, maps)
+    error = (output - wanted).abs() * apart
+    assert error.max() <= SHARE * wanted.max()
+
+
+def other_shell(shell: rt.RadenBrdf) -> rt.RadenBrdf:
+    """Other colours, other gains, the same nodes."""
     assert shell.table is not None
-    assert shell.diffuse is not None
-    file = exported(shell, profile="gbuffer").path
     values = shell.table.values.detach().flip(-1).contiguous()
-    other = rt.RadenBrdf(
+    table = shell.table
+    return rt.RadenBrdf(
         shell.diffuse,
-        ReflectanceTable(values, shell.table.first_deg, shell.table.step_deg, shell.table.pieces),
+        ReflectanceTable(values, table.first_deg, table.step_deg, table.pieces),
         diffuse_gain=0.5,
         specular_gain=2.0,
+        layout=shell.layout,
     )
+
+
+@pytest.mark.parametrize("form", ["runtime", "fit"])
+def test_another_shell_in_the_same_file(exported: Callable, shell: rt.RadenBrdf, form: str) -> None:
+    file = exported(shell, form=form).path
+    other = other_shell(shell)
     maps = unit_maps((1, 16, 16))
     extra = {
-        "table": values,
-        "diffuse_gain": torch.tensor(0.5),
-        "specular_gain": torch.tensor(2.0),
         "exposure": torch.tensor(0.25),
         "irradiance": torch.tensor([1.0, 2.0, 3.0]).view(1, 3, 1, 1),
         "mask": torch.full((1, 1, 1, 1), 0.5),
     }
+    with torch.no_grad():
+        if form == "runtime":
+            wanted = other(*maps.values())
+            extra |= {"table": other.runtime_table()}
+        else:
+            wanted = fit_form(other, maps)
+            gains = {"diffuse_gain": torch.tensor(0.5), "specular_gain": torch.tensor(2.0)}
+            extra |= {"table": other.table.values.detach(), **gains}
     output = run(file, maps | extra)
     cosine = (maps["normal"] * maps["light"]).sum(1, keepdim=True).clamp(min=0)
-    with torch.no_grad():
-        wanted = other(*maps.values()) * extra["irradiance"] * cosine * 0.25 * 0.5
+    wanted = wanted * extra["irradiance"] * cosine * 0.25 * 0.5
     torch.testing.assert_close(output, wanted, rtol=1e-5, atol=1e-5)
+
+
+def test_a_table_of_another_shape_is_refused(exported: Callable, shell: rt.RadenBrdf) -> None:
+    path = exported(shell).path
+    table = np.zeros((3, 4, 5, 3), np.float32)
+    words = rf"table: expected shape \[{shell.layout.shape[0]}, .*, 3\], got \[3, 4, 5, 3\]"
+    with pytest.raises(InputError, match=words) as refused:
+        ShaderSession(path, parameters={"table": table})
+    assert "\n" not in str(refused.value)
+    with pytest.raises(InputError, match="parameters: expected table, got 'diffuse_gain'"):
+        ShaderSession(path, parameters={"diffuse_gain": 2.0})
+    with pytest.raises(InputError, match=words):
+        fix_parameters(onnx.load(path), {"table": table})
+    with pytest.raises(Exception, match="invalid dimensions for input: table"):
+        run(path, unit_maps((1, 2, 2)) | {"table": torch.from_numpy(table)})
+
+
+def test_a_session_shows_another_shell(exported: Callable, shell: rt.RadenBrdf) -> None:
+    maps = {k: v.numpy() for k, v in unit_maps((1, 16, 16)).items()}
+    other = other_shell(shell)
+    with torch.no_grad():
+        table = other.runtime_table().numpy()
+        wanted = other(*(torch.from_numpy(m) for m in maps.values())).numpy()
+    session = ShaderSession(
+        exported(shell, output="brdf").path, threads=1, parameters={"table": table}
+    )
+    again = pickle.loads(pickle.dumps(session))
+    for each in (session, again):
+        np.testing.assert_allclose(each.run(**maps), wanted, atol=SHARE * wanted.max())
+
+
+def fit_form(model: rt.RadenBrdf, maps: dict[str, torch.Tensor]) -> torch.Tensor:
+    """Eq. (2) itself by angles, cut at the horizon."""
+    normal, light, view = maps.values()
+    above = ((normal * light).sum(1, keepdim=True) > 0) & ((normal * view).sum(1, keepdim=True) > 0)
+    return model.fit_form(*rt.raden_angles(*maps.values())) * above
+
+
+@pytest.mark.parametrize("of", ["shell", "matt", "baked"])
+def test_the_fit_form(
+    exported: Callable, request: pytest.FixtureRequest, matt: rt.RadenBrdf, of: str
+) -> None:
+    """The paper's form of every kind of model: a plain table, none, and one that is cut finer."""
+    model = baked(matt) if of == "baked" else request.getfixturevalue(of)
+    maps = unit_maps((1, 64, 64))
+    with torch.no_grad():
+        wanted = fit_form(model, maps)
+    made = exported(model, output="brdf", form="fit")
+    assert made.report.runtimes[0].status == "same picture"
+    assert (run(made.path, maps) - wanted).abs().max() <= SHARE * wanted.max()
+    assert verify_onnx(made.path).form == "fit"
 
 
 def test_a_picture_like_shade(exported: Callable, shell: rt.RadenBrdf) -> None:
@@ -118,16 +197,30 @@ def test_a_real_material(exported: Callable, shared: Path) -> None:
     assert made.report.peak > 0.1
 
 
-def test_a_baked_table(exported: Callable, matt: rt.RadenBrdf) -> None:
-    """Another way to read the table is exported, too: by its own code."""
+def baked(matt: rt.RadenBrdf) -> rt.RadenBrdf:
+    """A model of a table whose cells are cut into pieces."""
     pieces = ((1, 4, 2), (1, 2, 3, 1, 2, 1, 1, 5, 1), (1, 1, 2, 3, 1, 1))
     nodes = [1 + sum(cuts) for cuts in pieces]
     values = torch.rand(*nodes, 3, generator=torch.Generator().manual_seed(0))
     table = ReflectanceTable(values, (0.0, -60.0, -60.0), (20.0, 20.0, 20.0), pieces)
-    made = exported(rt.RadenBrdf(matt.diffuse, table, specular_gain=0.9))
+    return rt.RadenBrdf(matt.diffuse, table, specular_gain=0.9)
+
+
+def test_a_baked_table(exported: Callable, matt: rt.RadenBrdf) -> None:
+    made = exported(baked(matt))
     assert made.report.runtimes[0].status == "same picture"
     assert "incidence 0 to 60 deg" in metadata(onnx.load(made.path))["valid_range"]
     assert verify_onnx(made.path).runtimes[0].status == "same picture"
+
+
+@pytest.mark.parametrize("shape", [(3, 4, 6), (8, 9, 20)])
+def test_tables_of_any_size(
+    exported: Callable, shell: rt.RadenBrdf, shape: tuple[int, int, int]
+) -> None:
+    """Even and odd numbers of nodes, and few of them."""
+    model = copy.deepcopy(shell)
+    model.layout = RuntimeLayout(shape, (0.05, 3.0))
+    assert exported(model, output="brdf").report.runtimes[0].status == "same picture"
 
 
 def test_verify_needs_the_file_alone(exported: Callable, shell: rt.RadenBrdf) -> None:

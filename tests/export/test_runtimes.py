@@ -15,6 +15,7 @@ import raden_torch as rt
 from raden_torch.export.check import ExportReport, StressSet
 from raden_torch.export.constants import fix_parameters, is_fixed
 from raden_torch.export.export import verify_onnx
+from raden_torch.export.forms import form_of
 from raden_torch.export.runtimes import Runtime, SkippedRuntime, load_others
 from raden_torch.export.workers.worker import PROGRAMS, Worker, WorkerError
 
@@ -28,6 +29,7 @@ PROFILES = {
     "fixed": {"fixed": True},
     "brdf": {"output": "brdf"},
     "scene": {"profile": "scene"},
+    "fit": {"form": "fit"},
 }
 
 
@@ -69,7 +71,7 @@ def test_another_python_is_asked_for_its_own_picture(
     others = load_others(data, pythons=[Path(sys.executable)])
     runtime = next(r for r in others if r.name.startswith("onnxruntime ("))
     assert isinstance(runtime, Runtime)
-    result = StressSet(shell, "gbuffer", "radiance").run(runtime)
+    result = StressSet(form_of(shell, "runtime"), "gbuffer", "radiance").run(runtime)
     assert (result.status, result.reason) == ("same picture", "")
 
 

@@ -523,10 +523,10 @@ def test_an_exported_shader(tmp_path: Path) -> None:
     text = describe_file(tmp_path / "x.onnx")
     for words in (
         "shader of yakogai (simulated specimen), written by `raden export`",
-        "profile gbuffer, output brdf",
+        "runtime form, profile gbuffer, output brdf",
         "units: 1/sr",
         "input normal: float [batch, 3, height, width]",
-        "input diffuse_scale: float [3], optional",
+        "input table: float [32, 69, 67, 3], optional",
         "output brdf: float [batch, 3, height, width]",
         "opset 18, IR 8",
         f"{(tmp_path / 'x.onnx').stat().st_size} bytes",
