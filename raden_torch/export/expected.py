@@ -107,7 +107,7 @@ def _rounded(form: Form, n: Tensor, l: Tensor, v: Tensor, unit: Tensor) -> list[
     """f_r with the last bit of one component changed: of N, and of V where one was normalised."""
     moves = torch.eye(3).reshape(3, 1, 3, 1, 1) * _EPS
     moves = torch.cat([moves, -moves])
-    normalised = (~unit).to(v.dtype)
+    normalised = 2 * (~unit).to(v.dtype)  # V − L: one rounding each
     return [
         *(form.of_unit_vectors(n + move, l, v) for move in moves),
         *(form.of_unit_vectors(n, l, v + move * normalised) for move in moves),
