@@ -1,8 +1,9 @@
 """What the GPU kernels become, without a GPU: registers, spills, and how wide memory is accessed.
 
-Every kernel of `triton_kernels.py` is compiled ahead of time for compute capability 8.0 and 9.0, by
-Triton and the ptxas that comes with it, as a contiguous frame calls it. Registers and spills are
-ptxas's; the accesses of 32 pixels are counted in the PTX. Nothing here says how fast they are.
+The operators of `triton_launch.py` are called on tensors of a 1080p frame; what they would launch
+is compiled for compute capability 8.0 and 9.0 instead, by Triton and the ptxas that comes with it.
+Registers and spills are ptxas's; loads, stores and atomic additions of one thread are counted in
+the PTX, by their bytes. Nothing here says how fast the kernels are.
 Prints a table, and writes benchmarks/results/gpu_compile.json.
 """
 
@@ -14,124 +15,115 @@ import re
 import subprocess
 import tempfile
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import torch
 import triton
 from triton.backends.compiler import GPUTarget
 from triton.backends.nvidia.compiler import get_ptxas
-from triton.compiler import ASTSource
+from triton.runtime.driver import driver
 
 from raden_torch.brdf.model import triton_kernels, triton_launch
 
 CAPABILITIES = (80, 90)
-_KINDS = {"float32": "*fp32", "float16": "*fp16", "bfloat16": "*bf16"}
-_ONE = object()
-_Argument = Any
+FRAME = (1, 3, 1080, 1920)
+WARP = (0.4, 0.4)
+_ACCESS = re.compile(
+    r"^\s*(?:@%\S+ )?(?:(ld|st)\.global|(red|atom)\.\S*global)\S*?(?:\.v([24]))?\.[bfu](\d+)\b",
+    re.M,
+)
 
 
-def _map(dtype: str = "float32") -> tuple[_Argument, ...]:
-    return (_KINDS[dtype], "i32", "i32", "i32", _ONE)
+class _Target:
+    """Stands for Triton's driver, where there is none: only the compiler asks it."""
+
+    def __init__(self, capability: int) -> None:
+        self.capability = capability
+
+    def get_current_device(self) -> int:
+        return self.capability
+
+    def get_current_stream(self, device: int) -> int:
+        return 0
+
+    def get_current_target(self) -> GPUTarget:
+        return GPUTarget("cuda", self.capability, 32)
 
 
-_TABLE = ("*fp32", "i32", "i32", "i32", "fp32", "fp32")
+class _Compiled:
+    """In place of a kernel: compiles what would be launched, and keeps it."""
+
+    def __init__(self, name: str, block: int, found: list[Any]) -> None:
+        self.kernel, self.block, self.found = getattr(triton_kernels, name), block, found
+
+    def __getitem__(self, grid: Any) -> Callable[..., None]:
+        def compile_it(*arguments: Any, **options: Any) -> None:
+            sizes = {"BLOCK": self.block, "num_warps": self.block // 32}
+            self.found.append(self.kernel.warmup(*arguments, grid=(1,), **sizes, **options))
+
+        return compile_it
 
 
-def variants() -> dict[str, tuple[str, dict[str, _Argument], dict[str, bool]]]:
-    """By what they do: the kernel, its arguments and its flags."""
-    found = {}
-    for dtype in _KINDS:
-        maps = {name: _map(dtype) for name in ("normal", "light", "view")}
-        found[f"f_r, {dtype} maps"] = ("reflect", maps | {"table": _TABLE, "image": _map()}, {})
-    lamps = {
-        "lamps": "*fp32",
-        "lamp_count": "i32",
-        "lamp_stride": "i32",
-        "lamp_image_stride": "i32",
+def calls() -> dict[str, Callable[[], object]]:
+    """By what they do, calls of the operators."""
+    single = torch.zeros(FRAME)
+    table, lamps = torch.zeros(32, 69, 67, 3), torch.zeros(8, 1, 13)
+    camera, mask = torch.zeros(1, 3), torch.zeros(1, 1, *FRAME[2:])
+    size = (FRAME[0], *FRAME[2:])
+
+    def reflect(dtype: torch.dtype) -> Callable[[], object]:
+        return lambda: triton_launch.brdf(*[single.to(dtype)] * 3, table, WARP)
+
+    def shade(*maps: torch.Tensor | None) -> Callable[[], object]:
+        return lambda: triton_launch.shade(size, maps, lamps, table, WARP)
+
+    def backward(*wanted: bool) -> Callable[[], object]:
+        return lambda: triton_launch.brdf_backward(single, [*[single] * 3, table], WARP, wanted)
+
+    return {
+        "f_r, float32 maps": reflect(torch.float32),
+        "f_r, float16 maps": reflect(torch.float16),
+        "f_r, bfloat16 maps": reflect(torch.bfloat16),
+        "shade, distant lamps": shade(single, single, None, None, None),
+        "shade, any lamps, a mask": shade(single, None, single, camera, mask),
+        "gradient of the vectors": backward(True, True, True, False),
+        "gradient of the table": backward(False, False, False, True),
+        "gradient of both": backward(True, True, True, True),
     }
-    scene = {name: _map() for name in ("normal", "view", "position", "mask")}
-    for what, near, masked in (("distant lamps", False, False), ("near lamps, mask", True, True)):
-        flags = {"CAMERA": near, "POSITION": near, "MASK": masked}
-        found[f"shade, {what}"] = (
-            "shade",
-            scene | lamps | {"table": _TABLE, "image": _map()},
-            flags,
-        )
-    back = {name: _map() for name in ("gradient", "normal", "light", "view")}
-    back |= {"table": _TABLE, **{f"to_{name}": _map() for name in ("normal", "light", "view")}}
-    for what, vectors, table in (
-        ("vectors", True, False),
-        ("table", False, True),
-        ("both", True, True),
-    ):
-        flags = {**dict.fromkeys(("NORMAL", "LIGHT", "VIEW"), vectors), "TABLE": table}
-        found[f"gradient of {what}"] = ("differentiate", back | {"sums": "*fp32"}, flags)
-    return found
 
 
-def compiled(
-    name: str, arguments: dict[str, _Argument], flags: dict[str, bool], capability: int, block: int
-) -> Any:
-    """One kernel as Triton compiles it: pointers aligned, the columns of maps one after another."""
-    kernel = getattr(triton_kernels, name)
-    constants: dict[tuple[int, ...], Any] = {}
-    aligned: dict[tuple[int, ...], Any] = {}
-
-    def kind(value: _Argument, path: tuple[int, ...]) -> Any:
-        if isinstance(value, tuple):
-            return tuple(kind(v, (*path, k)) for k, v in enumerate(value))
-        if value is _ONE:
-            constants[path] = 1
-            return "constexpr"
-        if value.startswith("*") or (value == "i32" and len(path) > 1 and path[1] < 4):
-            aligned[path] = [["tt.divisibility", 16]]
-        return value
-
-    given = {**arguments, "count": "i32", "columns": "i32"}
-    fixed = {**flags, "ONE_ROW": True, "WIDE": False, "BLOCK": block}
-    signature = {}
-    for place, argument in enumerate(kernel.arg_names):
-        if argument in fixed:
-            signature[argument] = "constexpr"
-            constants[(place,)] = fixed[argument]
-        else:
-            signature[argument] = kind(given[argument], (place,))
-    # nodes of the table are as they come
-    table = kernel.arg_names.index("table")
-    aligned = {p: a for p, a in aligned.items() if p[0] != table or p[1:] == (0,)}
-    return triton.compile(
-        ASTSource(kernel, signature, constants, aligned),
-        target=GPUTarget("cuda", capability, 32),
-        options={"num_warps": block // 32, **triton_launch.OPTIONS},
-    )
+def compiled(call: Callable[[], object], capability: int, block: int) -> Any:
+    """The kernel that a call would launch."""
+    driver.set_active(_Target(capability))
+    found: list[Any] = []
+    for name in triton_launch.FLAGS:
+        triton_launch.KERNELS[name] = _Compiled(name, block, found)
+    call()
+    return found[0]
 
 
 def describe(binary: Any, capability: int) -> dict[str, Any]:
     """Registers, spilled bytes, bytes of shared memory, and memory accesses by width."""
     ptx = binary.asm["ptx"]
-    widths = Counter()
-    for what, vector, bits in re.findall(
-        r"^\s*(?:@%\S+ )?(ld\.global|st\.global|(?:red|atom)\.\S*?global)\S*?(\.v[24])?\.[bfu](\d+)\b",
-        ptx,
-        re.M,
-    ):
-        widths[f"{what.split('.')[0]} {int(bits) * int((vector or '.v1')[2:]) // 8}"] += 1
+    accesses = Counter(
+        f"{load or add} {int(bits) * int(vector or 1) // 8}"
+        for load, add, vector, bits in _ACCESS.findall(ptx)
+    )
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder) / "kernel.ptx"
         source.write_text(ptx)
-        said = subprocess.run(
-            [
-                get_ptxas(capability).path,
-                "-v",
-                f"--gpu-name=sm_{capability}{'a' if capability >= 90 else ''}",
-                source,
-                "-o",
-                source.with_suffix(".cubin"),
-            ],
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stderr
+        gpu = f"--gpu-name=sm_{capability}{'a' if capability >= 90 else ''}"
+        command = [
+            get_ptxas(capability).path,
+            "-v",
+            gpu,
+            source,
+            "-o",
+            source.with_suffix(".cubin"),
+        ]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stderr
 
     def number(pattern: str) -> int:
         match = re.search(pattern, said)
@@ -141,7 +133,7 @@ def describe(binary: Any, capability: int) -> dict[str, Any]:
         "registers": number(r"Used (\d+) registers"),
         "spilled bytes": number(r"(\d+) bytes spill stores"),
         "shared bytes": binary.metadata.shared,
-        "accesses": dict(sorted(widths.items())),
+        "accesses": dict(sorted(accesses.items())),
     }
 
 
@@ -150,11 +142,11 @@ def main() -> None:
     parser.add_argument("--block", type=int, default=128, help="pixels of a program")
     block = parser.parse_args().block
     report: dict[str, Any] = {"triton": triton.__version__, "block": block}
-    for what, (name, arguments, flags) in variants().items():
+    for what, call in calls().items():
         for capability in CAPABILITIES:
-            row = describe(compiled(name, arguments, flags, capability, block), capability)
+            row = describe(compiled(call, capability, block), capability)
             report[f"{what}, sm_{capability}"] = row
-            accesses = ", ".join(f"{n} × {width} bytes" for width, n in row["accesses"].items())
+            accesses = ", ".join(f"{n} × {width}" for width, n in row["accesses"].items())
             print(
                 f"{what:24s} sm_{capability}  {row['registers']:3d} registers, "
                 f"{row['spilled bytes']} bytes spilled, {row['shared bytes']} shared; {accesses}"

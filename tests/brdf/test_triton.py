@@ -56,7 +56,7 @@ def test_which_devices_run_them(monkeypatch, capability: tuple[int, int], runs: 
     assert simd.triton_runs("cuda:1") is runs
     with simd.using(simd.OFF):
         assert not simd.triton_runs("cuda:1")
-    monkeypatch.setattr(simd, "TRITON", False)
+    monkeypatch.setattr(simd, "_has_triton", lambda: False)
     assert not simd.triton_runs("cuda:1")
 
 

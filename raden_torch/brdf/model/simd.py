@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 
 import torch
 
@@ -26,7 +27,7 @@ except ImportError:
 
 OFF = "off"
 VARIABLE = "RADEN_TORCH_SIMD"
-TRITON = find_spec("triton") is not None
+LEAST_TRITON = (3, 9)
 LEAST_CAPABILITY = (8, 0)
 """Of a GPU: what the Triton kernels are compiled for in the tests begins here."""
 
@@ -55,10 +56,20 @@ def triton_runs(device: str) -> bool:
     return _asked != OFF and _can_run_triton(device)
 
 
+@cache
+def _has_triton() -> bool:
+    """In a version that the kernels are tested with."""
+    try:
+        parts = version("triton").split(".")
+    except PackageNotFoundError:
+        return False
+    return tuple(int(part) for part in parts[:2]) >= LEAST_TRITON
+
+
 @torch.compiler.assume_constant_result  # type: ignore[untyped-decorator, unused-ignore]
 def _can_run_triton(device: str) -> bool:
     return (
-        TRITON
+        _has_triton()
         and torch.version.hip is None
         and torch.cuda.get_device_capability(device) >= LEAST_CAPABILITY
     )
@@ -104,7 +115,8 @@ def _gpu_form(device: str) -> str:
         return f"Triton kernels ({name})"
     if _asked == OFF:
         return f"eager torch: {VARIABLE}={OFF} ({name})"
-    if not TRITON:
-        return f"eager torch: triton is not installed ({name})"
+    if not _has_triton():
+        least = ".".join(map(str, LEAST_TRITON))
+        return f"eager torch: triton {least} is not installed ({name})"
     least = ".".join(map(str, LEAST_CAPABILITY))
     return f"eager torch: the Triton kernels need CUDA and compute capability {least} ({name})"

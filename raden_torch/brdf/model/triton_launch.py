@@ -9,6 +9,7 @@ elements is addressed in 64 bits.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from threading import Lock
 from typing import Any
 
 import torch
@@ -27,7 +28,7 @@ _INTERPRETED = triton.knobs.runtime.interpret
 _INTERPRETED_BLOCK = 2048
 _INT32 = 2**31 - 1
 
-_FLAGS = {
+FLAGS = {
     "reflect": (),
     "shade": ("CAMERA", "POSITION", "MASK"),
     "differentiate": ("NORMAL", "LIGHT", "VIEW", "TABLE"),
@@ -41,13 +42,15 @@ def _tuned(name: str) -> Any:
         return kernel
     return triton.autotune(
         [triton.Config({"BLOCK": block}, num_warps=block // 32) for block in BLOCKS],
-        key=["ONE_ROW", "WIDE", *_FLAGS[name]],
+        key=["ONE_ROW", "WIDE", *FLAGS[name]],
         reset_to_zero=["sums"] if name == "differentiate" else None,
         cache_results=True,
     )(kernel)
 
 
-_KERNELS = {name: _tuned(name) for name in _FLAGS}
+KERNELS = {name: _tuned(name) for name in FLAGS}
+_ONE_AT_A_TIME = Lock()
+"""Triton's tuner keeps a call's arguments while it picks."""
 
 
 Size = tuple[int, int, int]
@@ -124,7 +127,7 @@ def brdf_backward(
             [*map(_images, maps), *(_images(m) if m.numel() > 0 else None for m in full)]
         )
         first = arranged[0]
-        flags = dict(zip(_FLAGS["differentiate"], (*wanted[:3], by_atomics), strict=True))
+        flags = dict(zip(FLAGS["differentiate"], (*wanted[:3], by_atomics), strict=True))
         targets = (m or first for m in arranged[4:])
         held = _runtime_form(table, warp)
         _launch("differentiate", size, wide, *arranged[:4], held, *targets, sums, **flags)
@@ -206,5 +209,5 @@ def _launch(name: str, size: Size, wide: bool, *arguments: Any, **flags: bool) -
         form["BLOCK"] = _INTERPRETED_BLOCK
     else:
         form |= OPTIONS
-    with torch.cuda.device_of(arguments[0][0]):
-        _KERNELS[name][grid](*arguments, count, columns, **form)
+    with _ONE_AT_A_TIME, torch.cuda.device_of(arguments[0][0]):
+        KERNELS[name][grid](*arguments, count, columns, **form)
