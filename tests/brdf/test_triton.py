@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
 
 import raden_torch as rt
 from raden_torch.brdf.model import kernel, simd
@@ -75,6 +76,50 @@ def test_the_system_report_names_every_gpu(monkeypatch) -> None:
 @pytest.mark.parametrize("name", ["brdf", "brdf_backward", "shade"])
 def test_the_operators_have_a_form_for_gpus(name: str) -> None:
     assert torch._C._dispatch_has_kernel_for_dispatch_key(f"raden_torch::{name}", "CUDA")
+
+
+class _Recorder(TorchDispatchMode):
+    """Torch's operators that are called: name, and the kinds of device of their tensors."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.calls: list[tuple[str, set[str]]] = []
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        tensors = [a for a in args if isinstance(a, Tensor)]
+        self.calls.append((str(func), {t.device.type for t in tensors}))
+        return func(*args, **(kwargs or {}))
+
+
+@torch.no_grad()
+def test_shading_what_is_on_the_device_waits_for_nothing(monkeypatch) -> None:
+    """As a CUDA graph asks for. The meta device stands for the GPU: it refuses to be read."""
+    model = rt.RadenBrdf(None, None)
+    table = torch.zeros(*model.layout.shape, 3, device="meta")
+    monkeypatch.setattr(kernel, "_runs_on", lambda device: True)
+    monkeypatch.setattr(rt.RadenBrdf, "runtime_table", lambda self: table)
+    for module, check in (("lights", "_check"), ("gbuffer", "_triple")):
+        monkeypatch.setattr(f"raden_torch.brdf.shading.{module}.{check}", lambda *_, **__: None)
+    n, three = torch.zeros(1, 3, 8, 8, device="meta"), torch.zeros(3, device="meta")
+    lamps = [
+        rt.PointLight(three, three),
+        rt.SpotLight(three, three, three),
+        rt.DirectionalLight(three, three),
+    ]
+    scene = rt.GBuffer(n, camera=three, position=n, mask=n[:, :1])
+    with _Recorder() as recorder:
+        assert rt.shade(model, scene, lamps).shape == n.shape
+    assert "raden_torch.shade.default" in {name for name, _ in recorder.calls}
+    assert not [name for name, kinds in recorder.calls if "cpu" in kinds]
+
+
+def test_the_benchmark_says_that_there_is_no_gpu() -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is one")
+    script = ROOT / "benchmarks" / "gpu.py"
+    found = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    assert found.returncode == 2
+    assert found.stderr == "gpu: expected an NVIDIA GPU that torch can use, got none\n"
 
 
 @pytest.mark.slow
