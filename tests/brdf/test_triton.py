@@ -61,6 +61,16 @@ def test_which_devices_run_them(monkeypatch, capability: tuple[int, int], runs: 
     assert not simd.triton_runs("cuda:1")
 
 
+def test_the_choice_is_a_constant_of_compiled_code(monkeypatch) -> None:
+    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: (9, 0))
+
+    @torch.compile(backend="eager", fullgraph=True)
+    def chosen(x: Tensor) -> Tensor:
+        return x + 1 if simd.triton_runs("cuda:0") else x
+
+    assert chosen(torch.zeros(1)) == 1
+
+
 def test_the_system_report_names_every_gpu(monkeypatch) -> None:
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"card {device[-1]}")

@@ -66,13 +66,16 @@ def _has_triton() -> bool:
     return tuple(int(part) for part in parts[:2]) >= LEAST_TRITON
 
 
-@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator, unused-ignore]
 def _can_run_triton(device: str) -> bool:
     return (
         _has_triton()
         and torch.version.hip is None
         and torch.cuda.get_device_capability(device) >= LEAST_CAPABILITY
     )
+
+
+# what torch.compiler.assume_constant_result does; that loads the compiler, which takes seconds
+_can_run_triton._dynamo_marked_constant = True  # type: ignore[attr-defined]
 
 
 @contextmanager
