@@ -1,8 +1,9 @@
-"""The fused CPU kernel: one pass over the pixels instead of a hundred torch operations.
+"""The fused kernels: one pass over the pixels instead of a hundred torch operations.
 
-It reads the runtime form. `RadenBrdf` and `shade` take it by themselves where the tensors are on
-the CPU in single (or half) precision. Eager torch stays the reference: the kernel computes the same
-formulas (`runtime_table.py`) and their gradients, and is tested against it.
+They read the runtime form. `RadenBrdf` and `shade` take them by themselves where the tensors are on
+the CPU (C++, in `kernel/`) or on an NVIDIA GPU (`triton_launch.py`) in single (or half) precision.
+Eager torch stays the reference: the kernels compute the same formulas (`runtime_table.py`) and
+their gradients, and are tested against it.
 
 It is registered as the torch operators `raden_torch::brdf`, its gradient
 `raden_torch::brdf_backward`, and `raden_torch::shade` (which has none: with gradients `shade` calls
@@ -58,12 +59,21 @@ _MAPS = 6
 
 def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
     """Whether the kernel can stand in for the eager form of this model on these tensors."""
-    if simd.level() == simd.OFF or torch.onnx.is_in_onnx_export() or _is_transformed():
+    if torch.onnx.is_in_onnx_export() or _is_transformed():
         return False
     tensors = [t for t in (*inputs, *model.parameters()) if t is not None]
-    if any(t.device.type != "cpu" or t.dtype not in PRECISIONS for t in tensors):
+    device = tensors[0].device
+    if any(t.device != device or t.dtype not in PRECISIONS for t in tensors):
+        return False
+    if not _runs_on(device):
         return False
     return model.table is None or model.table.values.shape[-1] == 3
+
+
+def _runs_on(device: torch.device) -> bool:
+    if device.type == "cuda":
+        return simd.triton_runs(str(device))
+    return device.type == "cpu" and simd.level() != simd.OFF
 
 
 def look_up(sphere: LitSphere, normal: Tensor, mask: Tensor | None) -> Tensor:
@@ -186,6 +196,27 @@ def _shade(*arguments: Any) -> Tensor:
     return image
 
 
+def _brdf_in_triton(*arguments: Any) -> Tensor:
+    from raden_torch.brdf.model import triton_launch
+
+    return triton_launch.brdf(*arguments)
+
+
+def _shade_in_triton(*arguments: Any) -> Tensor:
+    from raden_torch.brdf.model import triton_launch
+
+    *maps, lights = arguments[:_MAPS]
+    size = _image_size(*arguments[:_MAPS])
+    return triton_launch.shade(size, maps, lights, *arguments[_MAPS:])
+
+
+def _brdf_backward_in_triton(gradient: Tensor, *arguments: Any) -> list[Tensor]:
+    from raden_torch.brdf.model import triton_launch
+
+    *inputs, warp, wanted = arguments
+    return triton_launch.brdf_backward(gradient, inputs, warp, wanted)
+
+
 def _brdf_shape(normal: Tensor, light: Tensor, view: Tensor, *table: Any) -> Tensor:
     shape = torch.broadcast_shapes(normal.shape, light.shape, view.shape)
     return normal.new_empty(shape, dtype=torch.float32)
@@ -273,6 +304,9 @@ def _brdf_backward_shape(gradient: Tensor, *arguments: Any) -> list[Tensor]:
     return [x.new_empty(x.shape) for x in of]
 
 
+torch.library.impl("raden_torch::brdf", "CUDA", _brdf_in_triton)
+torch.library.impl("raden_torch::shade", "CUDA", _shade_in_triton)
+torch.library.impl("raden_torch::brdf_backward", "CUDA", _brdf_backward_in_triton)
 torch.library.register_fake("raden_torch::brdf", _brdf_shape)
 torch.library.register_fake("raden_torch::brdf_backward", _brdf_backward_shape)
 torch.library.register_fake("raden_torch::shade", _shade_shape)

@@ -158,11 +158,20 @@ def packed(
     direction or position, irradiance or intensity, axis, cosines of the outer and inner angle, and
     the reach: irradiance or intensity over `may_be_lost` (`[3]`, the irradiance that all lights
     left out at a pixel may have together), the largest of the three channels."""
-    rows = [_row(light, position, like, may_be_lost) for light in lights]
-    if not rows:
+    if not lights:
         return like.new_zeros(0, 1, 13, dtype=torch.float32)
+    if like.device.type == "cuda" and not _on_a_gpu(lights):
+        # made here and copied once, without waiting for the GPU
+        here = packed(lights, position, like.new_empty(0, device="cpu"), may_be_lost)
+        return here.pin_memory().to(like.device, non_blocking=True)
+    rows = [_row(light, position, like, may_be_lost) for light in lights]
     batch = max(len(row) for row in rows)
     return torch.stack([row.expand(batch, -1) for row in rows])
+
+
+def _on_a_gpu(lights: Sequence[KernelLight]) -> bool:
+    values = (value for light in lights for value in vars(light).values())
+    return any(isinstance(value, Tensor) and value.is_cuda for value in values)
 
 
 def _row(
@@ -172,7 +181,7 @@ def _row(
         return as_map(value, like.new_zeros((), dtype=dtype))[..., 0, 0]
 
     dtype = working_dtype(like)
-    axis, cosines = columns((0.0, 0.0, 0.0)), like.new_zeros(1, 2, dtype=dtype)
+    axis, cosines = like.new_zeros(1, 3, dtype=dtype), like.new_zeros(1, 2, dtype=dtype)
     if isinstance(light, DirectionalLight):
         kind, radiated = 0, light.irradiance
         at = normalised(columns(light.direction)[..., None, None])[..., 0, 0]
@@ -181,7 +190,8 @@ def _row(
         kind, radiated, at = 1, light.intensity, columns(light.position)
     if isinstance(light, SpotLight):
         kind, axis = 2, columns(light.target) - at
-        cosines = torch.cos(torch.deg2rad(cosines.new_tensor([[light.outer_deg, light.inner_deg]])))
+        angles = [cosines.new_full((1, 1), x) for x in (light.outer_deg, light.inner_deg)]
+        cosines = torch.cos(torch.deg2rad(torch.cat(angles, dim=1)))
     colour = columns(radiated)
     # 0 / 0, no light and nothing to be left out, is no reach, either
     reach = torch.nan_to_num((colour.abs() / may_be_lost).amax(1, keepdim=True), nan=0.0)

@@ -54,9 +54,9 @@ def shade(
         gbuffer: the scene; half-precision maps are computed in float32.
         lights: directional, point and spot lights. No light gives a black image.
         tolerance: the error of a pixel's radiance, in the image's unit, that may be traded for
-            time. Above 0, the fused kernel leaves out lights that are certainly too far or too weak
-            for a tile of 64 pixels to matter, and reads large frames under distant lamps from a
-            `LitSphere`. The eager form computes everything.
+            time. Above 0, the fused CPU kernel leaves out lights that are certainly too far or too
+            weak for a tile of 64 pixels to matter, and reads large frames under distant lamps from
+            a `LitSphere`. The other forms compute everything.
 
     Returns:
         `[B, 3, H, W]` scene-linear RGB with sRGB primaries, unclipped, multiplied by the mask.
@@ -154,14 +154,15 @@ def _by_kernel(
     camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
     floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
     # one half for the lights that are left out, one for the lit sphere
-    may_be_lost = tolerance / 2 / model.upper_bound() if tolerance > 0 else 0.0
+    trades = tolerance > 0 and normal.device.type == "cpu"
+    may_be_lost = tolerance / 2 / model.upper_bound() if trades else 0.0
     lamps = packed(known, position, normal, may_be_lost)
     inputs = (normal, view, position, camera, floating, lamps)
     if not kernel.takes(model, *inputs) or kernel.asks_for_gradient(model, *inputs):
         return None
     for lamp in lamps.unbind(0):
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
-    if tolerance > 0 and view is not None:
+    if trades and view is not None:
         sphere = _sphere(model, normal, view, lights, lamps, tolerance / 2)
         if sphere is not None:
             return kernel.look_up(sphere, normal, floating)
