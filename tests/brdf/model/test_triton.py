@@ -35,7 +35,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:overflow", "ignore:invalid value
 
 INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
 NOISY = {"L near V, too near", "L near V, not unit"}
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.mark.skipif(INTERPRETED, reason="this is the interpreter")
