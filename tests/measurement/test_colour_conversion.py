@@ -96,10 +96,19 @@ def test_matrices_join() -> None:
     [
         ((400, 440, 480, 520, 560, 600, 640, 680, 700), None),
         ((420, 460, 500, 540, 580, 620, 660, 680), None),
-        ((421, 460, 500, 540, 580, 620, 660, 700), "bands 421…700 nm do not make a colour"),
-        ((400, 440, 480, 520, 560, 600, 640, 679), "bands 400…679 nm do not make a colour"),
-        ((400, 441, 480, 520, 560, 600, 640, 680), "bands up to 41 nm apart"),
-        ((550,), "bands 550…550 nm do not make a colour"),
+        (
+            (421, 460, 500, 540, 580, 620, 660, 700),
+            "expected bands that span 400…700 nm, to make a colour, got 421…700 nm",
+        ),
+        (
+            (400, 440, 480, 520, 560, 600, 640, 679),
+            "expected bands that span 400…700 nm, to make a colour, got 400…679 nm",
+        ),
+        (
+            (400, 441, 480, 520, 560, 600, 640, 680),
+            "expected bands at most 40 nm apart, to make a colour, got ",
+        ),
+        ((550,), "expected bands that span 400…700 nm, to make a colour, got 550…550 nm"),
     ],
 )
 def test_which_bands_make_a_colour(bands: tuple[int, ...], why: str | None) -> None:
@@ -109,7 +118,7 @@ def test_which_bands_make_a_colour(bands: tuple[int, ...], why: str | None) -> N
     if why is not None:
         assert said is not None
         assert said.startswith(why)
-        with pytest.raises(InputError, match=r"^measurement: bands "):
+        with pytest.raises(InputError, match=r"^measurement: expected bands "):
             as_xyz(m)
 
 
