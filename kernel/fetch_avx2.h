@@ -1,4 +1,4 @@
-// One pixel's eight table nodes with 32-byte loads: two neighbours in tilt are six floats in a row.
+// One pixel's eight table nodes with 32-byte loads: two neighbours along w are six floats in a row.
 #pragma once
 #include <immintrin.h>
 

@@ -69,7 +69,7 @@ def choose_layout(model: RadenBrdf, nodes: int = NODES, seed: int = 0) -> Runtim
     """The layout of at most `nodes` nodes that reads the model's fit form best.
 
     Raises:
-        InputError: too few nodes for any layout.
+        InputError: too few nodes for any layout, or too many (10,000 to 1,700,000 do).
     """
     a, r, t = (torch.cat(each) for each in zip(*_samples(seed).values(), strict=True))
     angles = a, r, t
@@ -91,7 +91,7 @@ def choose_layout(model: RadenBrdf, nodes: int = NODES, seed: int = 0) -> Runtim
         if cost < best:
             best, chosen = cost, RuntimeLayout((u[0], v[0], w[0]), (v[1], w[1]))
     if chosen is None:
-        raise InputError(f"runtime table: expected 20,000 to 600,000 nodes, got {nodes}")
+        raise InputError(f"runtime table: expected 10,000 to 1,700,000 nodes, got {nodes}")
     return chosen
 
 

@@ -71,7 +71,7 @@ class RadenBrdf(nn.Module):
     other gains may make it negative.
 
     Differentiable in the vectors, the table (`table.values`) and the diffuse parameters
-    (`diffuse.scale`, `diffuse.exponent`). Either part may be None: it then costs nothing.
+    (`diffuse.scale`, `diffuse.exponent`). Either part may be None.
 
     Attributes:
         diffuse_gain, specular_gain: I_d and I_s of eq. (2), finite numbers that may be set.

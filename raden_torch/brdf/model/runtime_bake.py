@@ -38,11 +38,13 @@ _CUTS = 5
 _DIFFERENTIABLE = 3
 """The first arguments, which have a gradient: table, scale, exponent."""
 _MOST_BALANCE = 0.05
+"""By what share of its value `_balanced` may change a node."""
 _DEVICES = ("CPU", "CUDA", "XPU", "MPS")
 
 
 def bake(model: RadenBrdf, layout: RuntimeLayout) -> Tensor:
-    """The runtime table of a model, `[U, V, W, 3]` f_r in 1/sr, in the model's dtype."""
+    """The runtime table of a model, `[U, V, W, 3]` f_r in 1/sr: float64 where the model is, else
+    float32."""
     table, part = model.table, model.diffuse
     if table is None and part is None:
         return torch.zeros(*layout.shape, 3, device="cpu")
@@ -144,7 +146,7 @@ def _bake(
     shape: Sequence[int],
     warp: Sequence[float],
 ) -> Tensor:
-    """The formula, differentiable as often as anybody likes."""
+    """The formula in plain torch, with derivatives of any order; the arguments are `_ARGUMENTS`."""
     layout = RuntimeLayout((shape[0], shape[1], shape[2]), (warp[0], warp[1]))
     like = table if table is not None else scale
     assert like is not None
@@ -260,7 +262,7 @@ def _gradient(ctx: Any, gradient: Tensor) -> tuple[Any, ...]:
     else:
         found = torch.ops.raden_torch.bake_backward(gradient, *inputs, wanted)
     each = iter(found)
-    # torch counts an empty list as one of tensors, too
+    # a list of tensors takes a list of gradients, and torch takes any empty list for one
     others = [
         [None] * len(x) if isinstance(x, list) and (i == _CUTS or not x) else None
         for i, x in enumerate(inputs)

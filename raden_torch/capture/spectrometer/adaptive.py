@@ -1,6 +1,6 @@
 """A plan that reads a coarse grid first, then where a further reading reduces the error most.
 
-What it decides, and from what, is in `where_next`. Every decision is a batch of cells, an eighth of
+What it decides, and from what, is in `next_cells`. Every decision is a batch of cells, an eighth of
 what was read before, in an order of little travel; the plan ends with its budget, with an estimated
 error under its target, or when every cell is read.
 """

@@ -1,4 +1,4 @@
-"""What colorimeters behind a serial line share: the line, opened, opened again, given back."""
+"""What colorimeters on a serial line share: opening, reopening and closing the line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from raden_torch.capture.spectrometer.serial_line import LineSettings, SerialLin
 
 
 class SerialColorimeter(Colorimeter):
-    """A `Colorimeter` whose driver says how to `connect`, `measure` and tell its `status`.
+    """A `Colorimeter` on a serial line; a driver adds `_connect`, `measure` and `status`.
 
     Raises:
         ConnectionLostError: the port cannot be opened, or what answers is another device.
