@@ -8,7 +8,7 @@ namespace raden {
 
 constexpr float eps = FLT_EPSILON;
 constexpr float tiny = 1.0842022e-19f;  // the root of the least normal float
-constexpr float smallest = 1e-30f;         // keeps a quotient of numbers that underflow finite
+constexpr float smallest = 1e-30f;      // keeps a quotient of numbers that underflow finite
 
 template <class V>
 struct Vector3 {

@@ -32,7 +32,6 @@ inline Avx2 operator/(Avx2 a, Avx2 b) { return _mm256_div_ps(a.x, b.x); }
 inline Avx2::Mask operator<(Avx2 a, Avx2 b) { return {_mm256_cmp_ps(a.x, b.x, _CMP_LT_OQ)}; }
 inline Avx2::Mask operator<=(Avx2 a, Avx2 b) { return {_mm256_cmp_ps(a.x, b.x, _CMP_LE_OQ)}; }
 inline Avx2::Mask both(Avx2::Mask a, Avx2::Mask b) { return {_mm256_and_ps(a.x, b.x)}; }
-inline Avx2::Mask but_not(Avx2::Mask a, Avx2::Mask b) { return {_mm256_andnot_ps(b.x, a.x)}; }
 inline unsigned bits(Avx2::Mask m) { return static_cast<unsigned>(_mm256_movemask_ps(m.x)); }
 inline Avx2::Mask lanes_in(unsigned bits, const Avx2&) {
     const __m256i bit = _mm256_setr_epi32(1, 2, 4, 8, 16, 32, 64, 128);
@@ -49,9 +48,6 @@ inline Avx2 least(Avx2 a, Avx2 b) { return _mm256_min_ps(a.x, b.x); }     // b w
 inline Avx2 greatest(Avx2 a, Avx2 b) { return _mm256_max_ps(a.x, b.x); }  // b where a is NaN
 inline Avx2 floor_of(Avx2 a) { return _mm256_floor_ps(a.x); }
 inline Avx2 select(Avx2::Mask m, Avx2 a, Avx2 b) { return _mm256_blendv_ps(b.x, a.x, m.x); }
-inline Avx2 negated_where(Avx2::Mask m, Avx2 a) {
-    return _mm256_xor_ps(a.x, _mm256_and_ps(m.x, _mm256_set1_ps(-0.0f)));
-}
 
 // 8 pixels of (r, g, b, ·) → three planes.
 inline void planes(const float* rgb, Avx2& r, Avx2& g, Avx2& b) {

@@ -28,7 +28,6 @@ inline Avx512 operator/(Avx512 a, Avx512 b) { return _mm512_div_ps(a.x, b.x); }
 inline __mmask16 operator<(Avx512 a, Avx512 b) { return _mm512_cmp_ps_mask(a.x, b.x, _CMP_LT_OQ); }
 inline __mmask16 operator<=(Avx512 a, Avx512 b) { return _mm512_cmp_ps_mask(a.x, b.x, _CMP_LE_OQ); }
 inline __mmask16 both(__mmask16 a, __mmask16 b) { return _mm512_kand(a, b); }
-inline __mmask16 but_not(__mmask16 a, __mmask16 b) { return _mm512_kandn(b, a); }
 inline unsigned bits(__mmask16 m) { return m; }
 inline __mmask16 lanes_in(unsigned bits, const Avx512&) { return static_cast<__mmask16>(bits); }
 
@@ -41,9 +40,6 @@ inline Avx512 least(Avx512 a, Avx512 b) { return _mm512_min_ps(a.x, b.x); }     
 inline Avx512 greatest(Avx512 a, Avx512 b) { return _mm512_max_ps(a.x, b.x); }  // b where a is NaN
 inline Avx512 floor_of(Avx512 a) { return _mm512_roundscale_ps(a.x, _MM_FROUND_TO_NEG_INF); }
 inline Avx512 select(__mmask16 m, Avx512 a, Avx512 b) { return _mm512_mask_blend_ps(m, b.x, a.x); }
-inline Avx512 negated_where(__mmask16 m, Avx512 a) {
-    return _mm512_mask_xor_ps(a.x, m, a.x, _mm512_set1_ps(-0.0f));
-}
 
 // 16 pixels of (r, g, b, ·) → three planes.
 inline void planes(const float* rgb, Avx512& r, Avx512& g, Avx512& b) {

@@ -55,7 +55,6 @@ inline Portable operator/(P a, P b) { return lanewise([&](int i) { return a.x[i]
 inline Portable::Mask operator<(P a, P b) { return maskwise([&](int i) { return a.x[i] < b.x[i]; }); }
 inline Portable::Mask operator<=(P a, P b) { return maskwise([&](int i) { return a.x[i] <= b.x[i]; }); }
 inline Portable::Mask both(PM a, PM b) { return maskwise([&](int i) { return (a.x[i] & b.x[i]) != 0; }); }
-inline Portable::Mask but_not(PM a, PM b) { return maskwise([&](int i) { return (a.x[i] & ~b.x[i]) != 0; }); }
 inline unsigned bits(PM m) {
     unsigned all = 0;
     for (int i = 0; i < Portable::lanes; ++i) all |= static_cast<unsigned>(m.x[i] & 1) << i;
@@ -73,7 +72,6 @@ inline Portable least(P a, P b) { return lanewise([&](int i) { return a.x[i] < b
 inline Portable greatest(P a, P b) { return lanewise([&](int i) { return a.x[i] > b.x[i] ? a.x[i] : b.x[i]; }); }
 inline Portable floor_of(P a) { return lanewise([&](int i) { return std::floor(a.x[i]); }); }
 inline Portable select(PM m, P a, P b) { return lanewise([&](int i) { return m.x[i] ? a.x[i] : b.x[i]; }); }
-inline Portable negated_where(PM m, P a) { return lanewise([&](int i) { return m.x[i] ? -a.x[i] : a.x[i]; }); }
 
 // 8 pixels of (r, g, b, ·) → three planes.
 inline void planes(const float* rgb, Portable& r, Portable& g, Portable& b) {

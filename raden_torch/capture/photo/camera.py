@@ -61,11 +61,6 @@ class Pose:
     rms_px: float
     corners: int
 
-    @property
-    def camera_in_board_m(self) -> Floats:
-        """`[3]` the camera's centre in the board's frame; its z is negative."""
-        return -self.rotation.T @ self.translation_m
-
 
 class PoseEntry(Struct):
     """One photograph of a camera file."""
