@@ -10,6 +10,9 @@ from raden_torch.arrays import Floats
 
 SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """x, y of red, green, blue and white (IEC 61966-2-1)."""
+D65_XYZ = np.array([95.047, 100.0, 108.883])
+"""XYZ of the perfect reflecting diffuser under D65, 2° observer: CIE 015:2018, rounded as IEC
+61966-2-1 has it."""
 XYZ_TO_SRGB = np.array(
     [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
 )

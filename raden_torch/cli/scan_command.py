@@ -131,6 +131,8 @@ def _print_check(rig: Rig, instruments: Instruments, *, move: bool) -> None:
 
     for line in scan_session.check_rig(rig, instruments, move=move):
         print(line, flush=True)
+    if not move:
+        print("--yes also homes the rig and reads dark and white")
 
 
 def _run(

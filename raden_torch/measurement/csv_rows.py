@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
+from raden_torch.measurement.text_file import shown
 
 if TYPE_CHECKING:
     from raden_torch.measurement.csv_table import CsvTable
@@ -148,7 +149,7 @@ class _Numbers:
         except ValueError:
             pass
         raise InputError(
-            f"{self._place(line, column)}: expected a number, got {_shown(cell)}"
+            f"{self._place(line, column)}: expected a number, got {shown(cell)}"
             + ("; thousands separators are not read" if _is_grouped(cell) else "")
         )
 
@@ -156,7 +157,7 @@ class _Numbers:
         if self.comma and self.table.separator == "\t" and not self.is_decimal:
             place, text = self.comma
             raise InputError(
-                f"{place}: {_shown(text)} may be {text.replace(',', '.')} or "
+                f"{place}: {shown(text)} may be {text.replace(',', '.')} or "
                 f"{text.replace(',', '')}; expected decimal points"
             )
 
@@ -170,7 +171,7 @@ class _Numbers:
         if self.comma and self.point:
             (first, one), (second, other) = self.comma, self.point
             raise InputError(
-                f"{first}: {_shown(one)} has a decimal comma, {_shown(other)} in "
+                f"{first}: {shown(one)} has a decimal comma, {shown(other)} in "
                 f"{second.removeprefix(f'{self.table.path}: ')} a decimal point; expected one kind"
             )
         return text if "." in text else text.replace(",", ".")
@@ -182,8 +183,3 @@ class _Numbers:
 def _is_grouped(cell: str) -> bool:
     """Whether a number in groups of three digits is meant, as 1.234,5 or 1 234 or 1'234."""
     return bool(re.fullmatch(r"[-+]?\d{1,3}([.,\s'’]\d{3})+([.,]\d*)?", cell.strip()))
-
-
-def _shown(cell: str) -> str:
-    text = cell.strip()
-    return repr(text if len(text) <= 40 else f"{text[:37]}…")

@@ -112,6 +112,12 @@ def read_text(path: Path, limit: int) -> TextFile:
     return TextFile(text, found.encoding)
 
 
+def shown(text: str) -> str:
+    """A piece of a file, stripped, quoted and shortened, fit for a one-line message."""
+    text = text.strip()
+    return repr(text if len(text) <= 40 else f"{text[:37]}…")
+
+
 def _line_feeds(text: str) -> str:
     return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
 

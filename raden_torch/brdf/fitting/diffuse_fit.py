@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Floats, weighted_quantile
 from raden_torch.errors import InputError
 
 RIDGE_DEG = 20.0
@@ -119,7 +119,7 @@ def _fit_channel(angular: Floats, x: Floats, y: Floats, to: DiffuseFit) -> tuple
         basis = angular * x ** np.exp(log_n)
         counts = basis > _NEGLIGIBLE * basis.max()  # the rest weighs nothing, and would overflow
         ratio = y[counts] / basis[counts]
-        scale = max(_weighted_quantile(ratio, basis[counts], q), 0.0)
+        scale = max(weighted_quantile(ratio, basis[counts], q), 0.0)
         above = y - scale * basis
         return scale, float(np.mean(np.maximum(q * above, (q - 1) * above)))
 
@@ -135,9 +135,3 @@ def _fit_channel(angular: Floats, x: Floats, y: Floats, to: DiffuseFit) -> tuple
     ).x
     log_n = min((found, *bracket), key=lambda candidate: best_scale(candidate)[1])
     return best_scale(log_n)[0], float(np.exp(log_n))
-
-
-def _weighted_quantile(values: Floats, weights: Floats, q: float) -> float:
-    order = np.argsort(values)
-    below = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(below, q * below[-1])])

@@ -42,12 +42,12 @@ from raden_torch.capture.importers.text import (
     first_lines,
     number,
     read_lines,
-    shown,
     whole_number,
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import FACTOR_PER_SR, RGB, XYZ
+from raden_torch.measurement.text_file import shown
 
 MAX_POINTS = 20_000_000
 _MAX_COLUMNS = 2_000

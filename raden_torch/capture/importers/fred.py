@@ -37,10 +37,11 @@ from raden_torch.capture.importers.directions import (
     measurement_of,
     unit_vectors,
 )
-from raden_torch.capture.importers.text import first_lines, number, read_lines, shown
+from raden_torch.capture.importers.text import first_lines, number, read_lines
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import FACTOR_PER_SR
+from raden_torch.measurement.text_file import shown
 
 _FORMAT = re.compile(r"format\s+angles=(deg|sin)\s+bsdf=(value|log)\s+scale=(\S+)", re.IGNORECASE)
 _COLUMNS = ("polar angle", "azimuth", "bsdf")
@@ -64,7 +65,7 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
     begin = next(i for i, line in enumerate(lines) if line.strip()) + 1
     header = _FORMAT.fullmatch(lines[begin].strip()) if begin < len(lines) else None
     if header is None:
-        got = shown(lines[begin].strip()) if begin < len(lines) else "the end of the file"
+        got = shown(lines[begin]) if begin < len(lines) else "the end of the file"
         raise InputError(
             f"{path}: line {begin + 1}: expected 'format angles=deg|sin bsdf=value|log "
             f"scale=<number>', got {got}"

@@ -27,9 +27,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from raden_torch.capture.importers.rt300s_geometry import RtTable, measurement_of_tables
-from raden_torch.capture.importers.text import first_lines, number, read_lines, shown
+from raden_torch.capture.importers.text import first_lines, number, read_lines
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
+from raden_torch.measurement.text_file import shown
 
 _FIRST_KEY = "Name / Comment"
 _TABLE = "Theta Lighting"
@@ -119,7 +120,7 @@ def _check_entry(path: Path, line: int, text: str) -> None:
     if ":" not in text:
         raise InputError(
             f"{path}: line {line}: expected a 'key : value' line or '{_TABLE}' with its rows, got "
-            f"{shown(text.strip())}"
+            f"{shown(text)}"
         )
 
 

@@ -30,11 +30,10 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.importers.rt300s_geometry import LASER_NM, rt300s_measurement
-from raden_torch.capture.importers.text import shown
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import WHITE_LEVEL, XYZ
-from raden_torch.measurement.text_file import read_content
+from raden_torch.measurement.text_file import read_content, shown
 from raden_torch.packages import require
 
 MAX_BYTES = 64_000_000

@@ -40,11 +40,11 @@ from raden_torch.capture.importers.text import (
     first_lines,
     number,
     read_lines,
-    shown,
     whole_number,
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
+from raden_torch.measurement.text_file import shown
 
 _TITLE = "OPTIS - Anisotropic BSDF surface file"
 _VERSION = f"{_TITLE} v1.0"

@@ -8,7 +8,7 @@ import warnings
 from pathlib import Path
 
 from raden_torch.errors import InputError
-from raden_torch.measurement.text_file import UTF_8, read_text
+from raden_torch.measurement.text_file import UTF_8, read_text, shown
 
 MAX_BYTES = 100_000_000
 """Larger text files are refused before they are read."""
@@ -53,8 +53,3 @@ def whole_number(path: Path, line: int, name: str, text: str, highest: int) -> i
             f"{path}: line {line}: {name}: expected a whole number 1…{highest}, got {shown(text)}"
         )
     return int(text)
-
-
-def shown(text: str) -> str:
-    """A piece of a file, quoted and shortened, fit for a one-line message."""
-    return repr(text if len(text) <= 40 else f"{text[:37]}…")

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.arrays import Floats32
+from raden_torch.arrays import Floats32, weighted_quantile
 from raden_torch.capture.photo.exposure_weights import (
     Noise,
     evenly_picked,
@@ -96,14 +95,8 @@ def linearity_of(
     b = np.nan_to_num(b, nan=1.0)
     return Linearity(
         float(np.median(a)),
-        _weighted_quantile(a, w, 0.95),
+        weighted_quantile(a, w, 0.95),
         float(np.median(b)),
-        _weighted_quantile(b, w, 0.95),
+        weighted_quantile(b, w, 0.95),
         len(a),
     )
-
-
-def _weighted_quantile(values: NDArray[Any], weights: NDArray[Any], share: float) -> float:
-    order = np.argsort(values)
-    reached = np.cumsum(weights[order], dtype=np.float64)
-    return float(values[order][np.searchsorted(reached, share * reached[-1])])

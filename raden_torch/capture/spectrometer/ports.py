@@ -42,6 +42,11 @@ class Position(Struct, frozen=True, array_like=True, forbid_unknown_fields=True)
     receiving_deg: Finite
     tilt_deg: Finite
 
+    @property
+    def angles_deg(self) -> tuple[float, float, float]:
+        """Incidence, receiving and tilt."""
+        return self.incidence_deg, self.receiving_deg, self.tilt_deg
+
 
 class Target(Enum):
     """What is in front of the instrument."""

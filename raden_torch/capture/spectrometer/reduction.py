@@ -203,7 +203,7 @@ def _sorted(
     over, under = (_out_of_range(contents, which) for which in (Range.OVER, Range.UNDER))
     # the mean of what is left of a cell that was over range once would be too low
     missing = (count == 0) | (over > 0) | ~np.isfinite(values).all(axis=1)
-    away = np.array([_angles(position) for position, _ in plan.excluded]).reshape(-1, 3)
+    away = np.array([position.angles_deg for position, _ in plan.excluded]).reshape(-1, 3)
     angles = np.concatenate([plan.cells, away])
     order = np.lexsort(angles.T[::-1])
 
@@ -259,10 +259,6 @@ def _out_of_range(contents: JournalContents, which: Range) -> NDArray[np.int64]:
         if t.reading.range is which and t.step.target is Target.SAMPLE
     ]
     return np.bincount(np.array(found, np.int64), minlength=len(contents.plan.cells))
-
-
-def _angles(position: Position) -> tuple[float, float, float]:
-    return position.incidence_deg, position.receiving_deg, position.tilt_deg
 
 
 def _mean(index: NDArray[np.intp], rows: Floats, cells: int) -> Floats:

@@ -20,6 +20,7 @@ from raden_torch.arrays import Floats
 from raden_torch.capture.spectrometer.ports import Colorimeter, Goniometer, Position, Target
 from raden_torch.capture.spectrometer.stated_uncertainty import StatedUncertainty
 from raden_torch.capture.spectrometer.white_reference import UNNAMED
+from raden_torch.colorimetry import D65_XYZ
 from raden_torch.schema import Text
 
 Angle = Literal["incidence", "receiving", "tilt"]
@@ -280,8 +281,4 @@ class Rig:
 
 def angles_of(position: Position) -> Floats:
     """`(3,)` in the order of `ANGLES`."""
-    return np.array([position.incidence_deg, position.receiving_deg, position.tilt_deg], np.float64)
-
-
-D65_XYZ = np.array([95.047, 100.0, 108.883])
-"""The perfect reflecting diffuser under D65: CIE 015:2018, rounded as IEC 61966-2-1 has it."""
+    return np.array(position.angles_deg, np.float64)

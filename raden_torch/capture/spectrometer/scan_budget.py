@@ -75,7 +75,7 @@ def systematic_errors(header: Header, white_mean_std: float) -> SystematicErrors
         scale_reference=header.white.name if named and header.white.relative_std else "",
         white_mean_std=white_mean_std,
         zero_std_deg=header.stated.zero_std_deg,
-        white_deg=None if at_cells else (here.incidence_deg, here.receiving_deg, here.tilt_deg),
+        white_deg=None if at_cells else here.angles_deg,
     )
 
 

@@ -190,7 +190,7 @@ def cells_as_json(plan: Plan) -> dict[str, Any]:
         "cells": plan.cells.tolist(),
         "repeats": plan.repeats,
         "white_at_each": plan.white_at_each,
-        "excluded": [[*_angles(position), reason] for position, reason in plan.excluded],
+        "excluded": [[*position.angles_deg, reason] for position, reason in plan.excluded],
         "as_given_deg": plan.as_given_deg,
     }
 
@@ -224,10 +224,6 @@ def checked_repeats(repeats: int) -> int:
     if not 1 <= repeats <= MAX_REPEATS:
         raise InputError(f"repeats: expected 1…{MAX_REPEATS}, got {repeats}")
     return repeats
-
-
-def _angles(position: Position) -> tuple[float, float, float]:
-    return position.incidence_deg, position.receiving_deg, position.tilt_deg
 
 
 def _in_words(ours: Any, theirs: Any) -> str:

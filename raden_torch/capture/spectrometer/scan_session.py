@@ -192,7 +192,7 @@ def check_rig(rig: Rig, instruments: Instruments, *, move: bool) -> Iterator[str
         yield f"colorimeter: {instruments.colorimeter.identity}"
         yield f"  {instruments.colorimeter.status()}"
         if not move:
-            yield "nothing was moved; move=True (--yes) homes the rig and reads dark and white"
+            yield "nothing was moved"
             return
         instruments.goniometer.home()
         yield "homed"

@@ -23,7 +23,7 @@ def xyz_at(file: Path, position: Position) -> Floats:
     Raises:
         InputError: the file cannot be read, or has no valid reading within `NEAR_DEG`.
     """
-    angles = np.array([position.incidence_deg, position.receiving_deg, position.tilt_deg])
+    angles = np.array(position.angles_deg)
     modified = file.stat().st_mtime_ns if file.exists() else 0
     return _table(file, modified)(angles)
 

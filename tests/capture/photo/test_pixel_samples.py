@@ -20,7 +20,6 @@ from raden_torch.capture.photo.brdf.photo_budget import relative_colour
 from raden_torch.capture.photo.brdf.photo_cells import CellGrid
 from raden_torch.capture.photo.brdf.photo_series import Frame
 from raden_torch.capture.photo.brdf.photo_white import (
-    D65_XYZ,
     Scale,
     WhiteFactor,
     WhitePlace,
@@ -44,6 +43,7 @@ from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.colour import ColourCorrection
 from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps
+from raden_torch.colorimetry import D65_XYZ
 from raden_torch.errors import InputError
 
 SIZE = (140, 160)

@@ -9,10 +9,11 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
-from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
+from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
 from raden_torch.capture.photo.chart_reference import PATCH_NAMES, reference_xyz
 from raden_torch.capture.photo.colour import ColourFile
 from raden_torch.capture.photo.result_file import read_result
+from raden_torch.colorimetry import D65_XYZ
 from raden_torch.errors import InputError
 
 _WHITE = PATCH_NAMES.index("white 9.5")

@@ -18,9 +18,6 @@ from raden_torch.capture.photo.brdf.rays import Rays
 from raden_torch.capture.photo.brdf.sample_shapes import Plane
 from raden_torch.errors import InputError
 
-D65_XYZ = np.array([95.047, 100.0, 108.883])
-"""The perfect reflecting diffuser's reflectance factor: CIE 1931 2°, D65."""
-
 _FACING = 0.25
 """cos θi below which a lamp does not light the white well."""
 _FEWEST_PX = 30

@@ -21,13 +21,14 @@ from raden_torch.capture.spectrometer.ports import (
     Range,
     Target,
 )
-from raden_torch.capture.spectrometer.rig import D65_XYZ, angles_of
+from raden_torch.capture.spectrometer.rig import angles_of
 from raden_torch.capture.spectrometer.scan import run_scan
 from raden_torch.capture.spectrometer.scan_plan import Plan
 from raden_torch.capture.spectrometer.simulation.laboratory import Laboratory
 from raden_torch.capture.spectrometer.simulation.simulated_radiance import FIRST_NM, LAST_NM, Scene
 from raden_torch.capture.spectrometer.simulation.simulated_rig import WHITE_FACTOR, Conditions
 from raden_torch.capture.spectrometer.white_reference import White
+from raden_torch.colorimetry import D65_XYZ
 
 _HOME = Position(0.0, 0.0, 0.0)
 _WHITE_AT = Position(45.0, 0.0, 0.0)

@@ -182,8 +182,9 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
 def sphere_setup(series: Series) -> dict[str, object]:
     """The arguments of `capture_brdf` for such a series."""
     from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
-    from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
+    from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
     from raden_torch.capture.photo.development import Development
+    from raden_torch.colorimetry import D65_XYZ
 
     return {
         "photographs": series.photos,
@@ -306,8 +307,9 @@ def board_series(tmp_path: Path) -> Callable[..., Series]:
 def board_setup(series: Series, *, rod: bool = False, axis: bool = True) -> dict[str, object]:
     """The arguments of `capture_brdf` for such a series."""
     from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
-    from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
+    from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
     from raden_torch.capture.photo.development import Development
+    from raden_torch.colorimetry import D65_XYZ
 
     sample = SampleSpec("plane", region_m=FLAT_M)
     if rod:

@@ -111,8 +111,9 @@ def test_a_measured_white_is_looked_up_at_its_own_geometry(sphere: Any, tmp_path
     mask is found."""
     from dataclasses import replace
 
-    from raden_torch.capture.photo.brdf.photo_white import D65_XYZ, WhiteFactor
+    from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
     from raden_torch.capture.photo.capture_brdf import capture_brdf
+    from raden_torch.colorimetry import D65_XYZ
     from raden_torch.measurement import BrdfMeasurement
 
     angles = np.stack(np.meshgrid([0.0, 40, 85], [-85.0, 0, 85], [-85.0, 0, 85], indexing="ij"), -1)
