@@ -120,7 +120,7 @@ def render_gbuffer_file(
     memory: int | None = None,
     shown: Callable[[float], object] = lambda share: None,
 ) -> float:
-    """Light an EXR G-buffer of any size into a scene-linear EXR; see `brdf.shade_file`.
+    """Light an EXR G-buffer of any size into a scene-linear EXR; see `brdf.files.shade_file`.
 
     Args:
         tolerance: as for `shade`.

@@ -32,12 +32,14 @@ FEWEST = 6
 """Samples without which a cell has no value."""
 
 _BISQUARE = 6.0
+"""Scales at which the bisquare's weight reaches 0."""
 _ROUNDS = 8
 _SLOPE, _BEND = 1.5, 1.0
 """Deviations of the priors, over the largest difference to a neighbouring cell."""
 _LEAST = 0.05
 """Of that difference, relative to the cell's own level."""
 GRAIN = 1e-4
+"""Least scatter of the samples, over the cell's level: no scale is 0 where there is no noise."""
 _CLOSEST = 15
 """Samples nearest to the node, whose median is the robust fit's start."""
 

@@ -79,7 +79,7 @@ class Coverage:
             f"({100 * self.share:.1f} %), {100 * self.share_of_reachable:.1f} % of those that this "
             "sample can show"
         ]
-        lines += [f"next: {stance.text}: {stance.gain} more cells" for stance in self.next]
+        lines += [f"next: {place.text}: {place.gain} more cells" for place in self.next]
         return "\n".join(lines)
 
 
@@ -93,13 +93,13 @@ def coverage(
     *,
     stances: int = 4,
 ) -> Coverage:
-    """Which cells are covered, and the stances that would cover most.
+    """Which cells are covered, and where lamp and camera would add most.
 
     Args:
         shape: of the sample, in the first photograph.
         pose: of the board there; with it, other places of the camera are tried, too.
         lamp_distance: from the sample, for near lamps; None: far away.
-        stances: how many to suggest.
+        stances: how many such places of lamp and camera to suggest.
     """
     scene = _Scene(grid, shape, camera, pose, lamp_distance)
     tried = scene.candidates()
