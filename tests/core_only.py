@@ -60,7 +60,10 @@ def fitted(folder: Path) -> dict[str, float]:
     expected = (
         shell.as_rgb().values[row][0] / 100 * float(a.cos())
     )  # under the default irradiance, π
+    fit_form = loaded.fit_form(*(x.view(1, 1, 1) for x in (a, r, torch.zeros(())))).flatten()
+    fit_form = fit_form * torch.pi * a.cos()
     return {
+        "fit form": float((fit_form - torch.as_tensor(expected)).abs().max() / expected.max()),
         "shade": float((image.flatten() - torch.as_tensor(expected)).abs().max() / expected.max()),
         "read back": float((loaded.table.values - model.table.values).abs().max()),
     }

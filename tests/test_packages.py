@@ -136,7 +136,8 @@ def core(
 
 def test_the_core_fits_saves_loads_and_shades(core: tuple[Path, dict[str, Any]]) -> None:
     _, found = core
-    assert found["errors"]["shade"] < 1e-5  # the reading itself, at a node
+    assert found["errors"]["fit form"] < 1e-5  # the reading itself, at a node
+    assert found["errors"]["shade"] < 0.02  # the runtime table beside it, of a noisy measurement
     assert found["errors"]["read back"] == 0
     assert found["imported"] == []
 

@@ -61,10 +61,11 @@ class GBufferShading(nn.Module):
 
     def forward(self, given: dict[str, Tensor]) -> Tensor:
         f, cosine, least, both = self.reflection(given["normal"], given["light"], given["view"])
-        factor = given["mask"].clamp(max=1)
+        mask = torch.relu(given["mask"])
+        factor = mask.clamp(max=1)
         if self.output == "radiance":
             factor = cosine * factor * (given["irradiance"] * given["exposure"])
-        shows = torch.minimum(least, given["mask"])
+        shows = least * mask  # not the lesser: some runtimes lose NaN there
         return _lit(f * factor, shows, both)
 
 

@@ -177,7 +177,8 @@ def _bake(
     # the two terms are balanced one by one, so that eq. (2) stays linear in its gains
     whole = weight is not None and bool((weight == 1).all())
     if whole and not isinstance(specular_gain, Tensor) and diffuse_gain == specular_gain:
-        return f.to(like.device)  # the diffuse part cancels
+        f = f + 0 * (scale.sum() + exponent.sum()).to(f)  # it cancels; so its gradient is 0
+        return f.to(like.device)
     a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, device))
     part = diffuse(a, r, t, scale.to(device).double(), exponent.to(device).double())
     body = part[:, :, 0].T.to(dtype).reshape(f.shape)
