@@ -12,7 +12,7 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.fitting.diffuse_fit import FITS, angle_from_mirror, fit_diffuse
-from raden_torch.brdf.fitting.score import fit_form_factors, reflectance_factors
+from raden_torch.brdf.fitting.score import fit_form_factors
 from raden_torch.cli import run
 from raden_torch.errors import InputError
 from raden_torch.info.reflectance_info import describe_model
@@ -93,7 +93,7 @@ def test_a_highlight_on_black_has_no_diffuse_part(to: str) -> None:
     f_r = highlight(angles) * (highlight(angles) > 1e-3) * np.ones(3)
     result = rt.fit(measured(f_r, deg), diffuse=to, interpolation="trilinear")
     assert result.model.diffuse.scale.tolist() == [0, 0, 0]
-    assert reflectance_factors(result.model, measured(f_r, deg)) == pytest.approx(
+    assert fit_form_factors(result.model, measured(f_r, deg)) == pytest.approx(
         FACTOR_PER_SR * f_r, rel=2e-7, abs=1e-9
     )
 
@@ -119,7 +119,7 @@ def test_nodes_are_exact_and_the_fit_ignores_missing_cells(to: str, outside: str
     result = rt.fit(m, diffuse=to, outside=outside, interpolation="trilinear")
     assert result.report.diffuse_scale == pytest.approx(SCALE, rel=2e-3)
     at_zero = deg[0] == 0  # averaged over equivalents
-    found = reflectance_factors(result.model, m)[known & ~at_zero]
+    found = fit_form_factors(result.model, m)[known & ~at_zero]
     assert found == pytest.approx(FACTOR_PER_SR * f_r[known & ~at_zero], rel=2e-6)
 
 
@@ -144,7 +144,9 @@ def test_a_surface_above_the_table_leaves_a_negative_remainder(
     f_r = formula(angles) * (1 + 0.3 * generator.standard_normal((len(deg[0]), 1)))
     f_r = np.maximum(f_r + highlight(angles), 0)
     m = measured(f_r, deg)
-    model = rt.fit(m, diffuse="surface", interpolation="trilinear", outside="diffuse").model
+    model = rt.fit(m, diffuse="surface", interpolation="trilinear", outside="diffuse").model.to(
+        dtype
+    )
     vectors = torch.from_numpy(generator.standard_normal((3, 1, 3, 40, 50))).to(dtype)
     vectors[:, :, 2].abs_()
 
