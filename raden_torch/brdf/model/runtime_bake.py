@@ -114,7 +114,9 @@ def _node_map(source: _Source) -> _NodeMap:
 def _csr(starts: Tensor, columns: Tensor, entries: Tensor, size: tuple[int, int]) -> Tensor:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # torch calls all of its CSR tensors beta
-        return torch.sparse_csr_tensor(starts, columns, entries, size, check_invariants=False)
+        return torch.sparse_csr_tensor(
+            starts, columns, entries, size, device=entries.device, check_invariants=False
+        )
 
 
 class _Linear(torch.autograd.Function):

@@ -271,5 +271,5 @@ def test_layouts_that_are_none(shape, warp, message) -> None:
 
 
 def test_too_few_nodes_for_any_layout() -> None:
-    with pytest.raises(InputError, match=r"expected 20,000 to 600,000 nodes, got 100"):
+    with pytest.raises(InputError, match=r"expected 10,000 to 1,700,000 nodes, got 100"):
         choose_layout(lobe_model(), 100)
