@@ -120,6 +120,8 @@ void differentiate(Scene& scene, raden::Gradient& wanted, float* sums, int slice
 }  // namespace
 
 NB_MODULE(_kernel, m) {
+    // OpenImageIO, another module made by nanobind, leaves objects at exit; it would tell every user
+    nb::set_leak_warnings(false);
     m.doc() = "The fused evaluation of a raden model; see raden_torch/brdf/model/kernel.py.";
     m.def("levels", &levels, "Instruction sets that this machine has, the fastest last.");
     m.def(
