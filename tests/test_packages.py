@@ -224,6 +224,7 @@ def asked_for(tree: ast.AST) -> set[str]:
 DOORS = {"capture/photo": "photo", "plots": "plots"}
 """Rooms that ask for all of an extra when they are entered, in their __init__.py."""
 AFTER_THE_DOOR = {
+    "export/constants.py",  # of whoever read the graph
     "export/trace.py",  # of export_onnx
     "info/shader_info.py",  # of onnx_file.read_graph
     "export/workers/other_python.py",  # runs in another environment
