@@ -18,6 +18,7 @@ import pytest
 from msgspec import Meta, Struct
 
 from raden_torch.brdf.files.model_file import assemble
+from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
 from raden_torch.capture.photo.brdf.chart_white import chart_white
 from raden_torch.capture.photo.camera import read_camera, read_poses
 from raden_torch.capture.photo.colour import read_colour
@@ -122,7 +123,7 @@ RESULTS: dict[str, dict[str, Any]] = {
 READERS: dict[str, list[Callable[[Path], object]]] = {
     "lights": [read_lamps, describe_file],
     "camera": [read_camera, read_poses, describe_file],
-    "colour": [read_colour, lambda path: chart_white(path, "99", None, 0.0), describe_file],
+    "colour": [read_colour, lambda path: chart_white(path, WhiteFactorSpec("99")), describe_file],
     "normals": [lambda path: _original_lamp(path, Path("a.png")), describe_file],
     "brdf": [describe_file],
 }
