@@ -78,18 +78,34 @@ def fit(
         >>> result.report.reading_rms < 1e-6
         True
     """
-    hint = "load_measurement reads one from a file"
-    check_type("measurement", measurement, BrdfMeasurement, hint)
-    if outside not in OUTSIDE:
-        raise InputError(f"outside: expected {' or '.join(OUTSIDE)}, got {outside!r}")
     diffuse = "floor" if diffuse is None else diffuse
-    check_type("diffuse", diffuse, (str, DiffuseParameters))
-    if isinstance(diffuse, str) and diffuse not in FITS:
-        raise InputError(f"diffuse: expected {' or '.join(FITS)}, got {diffuse!r}")
+    _check(measurement, diffuse, outside)
     table = tabulate(measurement, assume)
     if outside == "continued" and (size := _too_large(table)):
         outside = "diffuse"
         table = replace(table, warnings=(*table.warnings, size))
+    return _fitted(measurement, table, diffuse, interpolation, validation, outside)
+
+
+def _check(measurement: BrdfMeasurement, diffuse: DiffuseParameters | str, outside: str) -> None:
+    hint = "load_measurement reads one from a file"
+    check_type("measurement", measurement, BrdfMeasurement, hint)
+    if outside not in OUTSIDE:
+        raise InputError(f"outside: expected {' or '.join(OUTSIDE)}, got {outside!r}")
+    check_type("diffuse", diffuse, (str, DiffuseParameters))
+    if isinstance(diffuse, str) and diffuse not in FITS:
+        raise InputError(f"diffuse: expected {' or '.join(FITS)}, got {diffuse!r}")
+
+
+def _fitted(
+    measurement: BrdfMeasurement,
+    table: Tabulated,
+    diffuse: DiffuseParameters | str,
+    interpolation: str,
+    validation: BrdfMeasurement | None,
+    outside: str,
+) -> FitResult:
+    """`fit` of a table of the measurement's readings."""
     parameters = (
         fit_diffuse(*_for_diffuse(table), to=diffuse) if isinstance(diffuse, str) else diffuse
     )

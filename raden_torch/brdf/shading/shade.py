@@ -95,6 +95,11 @@ def shade(
         image = _by_kernel(model, gbuffer, lights, tolerance)
         if image is not None:
             return image
+    return _eagerly(model, gbuffer, lights)
+
+
+def _eagerly(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light]) -> Tensor:
+    """The image in torch, light by light."""
     maps = [m for m in (gbuffer.normal, gbuffer.view, gbuffer.position) if isinstance(m, Tensor)]
     dtype = model.working_dtype(*maps)
     normal = geometry.normalised(gbuffer.normal.to(dtype))
