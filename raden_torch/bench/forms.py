@@ -14,6 +14,7 @@ from raden_torch.bench.naive_form import naive
 from raden_torch.brdf.model import simd
 from raden_torch.brdf.model.layout_choice import NODES, choose_layout
 from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.export.forms import form_of
 
 PAPER, FIT, RUNTIME = "paper", "fit form", "runtime form"
 FORMS = (PAPER, FIT, RUNTIME)
@@ -108,13 +109,11 @@ def with_nodes(model: RadenBrdf, nodes: int) -> RadenBrdf:
 
 def by_fit_form(model: RadenBrdf) -> Shader:
     """The model by eq. (2) itself, 0 below the horizon."""
+    form = form_of(model, "fit")
 
     @torch.no_grad()
     def shader(normal: Tensor, light: Tensor, view: Tensor) -> Tensor:
-        n, l, v = (geometry.normalised(m) for m in (normal, light, view))  # noqa: E741
-        f = model.fit_form(*geometry.angles_from_unit_vectors(n, l, v))
-        above = (geometry.dot(n, l) > 0) & (geometry.dot(n, v) > 0)
-        return torch.where(above, f, torch.zeros_like(f))
+        return form.of_unit_vectors(*(geometry.normalised(m) for m in (normal, light, view)))
 
     return shader
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from raden_torch import geometry
 from raden_torch.brdf.files.model_file import assemble
-from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf, equation_2
 from raden_torch.brdf.model.runtime_table import RuntimeLayout, address_of_angles, read, read_at
 from raden_torch.errors import InputError
 
@@ -70,15 +70,8 @@ class FitForm(nn.Module):
 
     def at_angles(self, incidence: Tensor, receiving: Tensor, tilt: Tensor) -> Tensor:
         """f_r by angles, as `RadenBrdf.fit_form`."""
-        angles = incidence, receiving, tilt
-        shape = list(incidence.shape)
-        shape[geometry.XYZ_DIM] = 3
-        diffuse = incidence.new_zeros(shape) if self.diffuse is None else self.diffuse(*angles)
-        f = diffuse if self.diffuse is None else self.diffuse_gain * diffuse
-        if self.table is None:
-            return f
-        total, weight = self.table(*angles)
-        return f + self.specular_gain * weight * (total - diffuse)
+        body, specular = (getattr(self, gain, 1.0) for gain in GAINS)
+        return equation_2(self.diffuse, self.table, body, specular, incidence, receiving, tilt)
 
     def working_dtype(self, *maps: Tensor) -> torch.dtype:
         """float64 where a map or the model is, else float32."""

@@ -13,11 +13,15 @@ from dataclasses import dataclass
 from itertools import product
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from raden_torch.brdf.model.runtime_table import RuntimeLayout, address_of_angles, angles_of
 from raden_torch.errors import InputError
+from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from raden_torch.measurement.readings import FACTOR_PER_SR
+from raden_torch.reflectance.log_readings import LUMINANCE
 
 if TYPE_CHECKING:
     from raden_torch.brdf.model.model import RadenBrdf
@@ -34,7 +38,6 @@ _WARPS = (0.1, 0.2, 0.3, 0.45, 0.7)
 _LEAST_SHARE = 0.7  # of the nodes that are allowed
 _SAMPLES = 1200  # of each kind
 _USUAL_WARP = 0.4  # while another axis is looked at
-_Y_OF_RGB = (0.2126729, 0.7151522, 0.0721750)
 
 Angles = tuple[Tensor, Tensor, Tensor]
 
@@ -53,8 +56,9 @@ class BakeError:
 
 
 def bake_errors(model: RadenBrdf, seed: int = 1) -> dict[str, BakeError]:
-    """The runtime form's errors: "box", evenly in all angles to 70°; "hemisphere", evenly over all
-    geometries to 85°; "highlight", within a few degrees of the mirror."""
+    """The runtime form's errors: "box", evenly in all angles to 70°; "hemisphere", evenly along the
+    axes of a runtime table, grazing geometries included; "highlight", within a few degrees of the
+    mirror."""
     found = {}
     for name, angles in _samples(seed).items():
         truth, read = (
@@ -117,7 +121,8 @@ def _luminance(form: Callable[..., Tensor], model: RadenBrdf, angles: Angles) ->
     like = next(model.parameters(), torch.zeros((), device="cpu"))
     with torch.no_grad():
         f = form(*(a.to(like)[None, :, None] for a in angles))[:, :, 0].double().cpu()
-    return torch.tensor(_Y_OF_RGB, dtype=torch.float64, device="cpu") @ f * (100 * math.pi)
+    to_y = np.linalg.inv(xyz_to_rgb_matrix())[LUMINANCE]
+    return torch.from_numpy(to_y) @ f * FACTOR_PER_SR
 
 
 def _read_along(model: RadenBrdf, angles: Angles, axis: int, count: int, warp: float) -> Tensor:

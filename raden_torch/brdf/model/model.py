@@ -133,10 +133,11 @@ class RadenBrdf(nn.Module):
         """
         geometry.check_vector_maps(normal=normal, light=light, view=view)
         self.check_device(normal)
-        if not kernel.takes(self, normal, light, view):
-            dtype = self.working_dtype(normal, light, view)
-            normal, light, view = (geometry.normalised(m.to(dtype)) for m in (normal, light, view))
-        return self.of_unit_vectors(normal, light, view)
+        if kernel.takes(self, normal, light, view):
+            return kernel.brdf(self.runtime_table(), self.layout.warp, normal, light, view)
+        dtype = self.working_dtype(normal, light, view)
+        vectors = (geometry.normalised(m.to(dtype)) for m in (normal, light, view))
+        return self.of_unit_vectors(*vectors)
 
     def of_unit_vectors(
         self,
@@ -166,7 +167,8 @@ class RadenBrdf(nn.Module):
         state = _state(self)
         known = _baked.get(self)
         if known is None or known[0] != state:
-            with torch.no_grad():
+            # kept for calls of other modes
+            with torch.inference_mode(False), torch.no_grad():
                 known = _baked[self] = (state, bake(self, self.layout))
         return known[1]
 
@@ -182,14 +184,7 @@ class RadenBrdf(nn.Module):
     def fit_form(self, incidence: Tensor, receiving: Tensor, tilt: Tensor) -> Tensor:
         """`at_angles` by eq. (2) itself instead of the runtime table: the reference, and slower."""
         angles = torch.broadcast_tensors(incidence, receiving, tilt)
-        shape = list(angles[0].shape)
-        shape[geometry.XYZ_DIM] = 3
-        diffuse = angles[0].new_zeros(shape) if self.diffuse is None else self.diffuse(*angles)
-        f = self.diffuse_gain * diffuse
-        if self.table is not None and self.specular_gain != 0:
-            total, weight = self.table(*angles)
-            f = f + self.specular_gain * weight * (total - diffuse)
-        return f
+        return equation_2(self.diffuse, self.table, self.diffuse_gain, self.specular_gain, *angles)
 
     def upper_bound(self) -> Tensor:
         """`[3]`: what |f_r| of each channel cannot exceed in any geometry, in 1/sr."""
@@ -224,6 +219,32 @@ class RadenBrdf(nn.Module):
             f"{kind}{self.provenance.sample!r}, diffuse_gain={self.diffuse_gain}, "
             f"specular_gain={self.specular_gain}"
         )
+
+
+def equation_2(
+    part: CosineDiffuse | None,
+    table: ReflectanceTable | None,
+    diffuse_gain: float | Tensor,
+    specular_gain: float | Tensor,
+    incidence: Tensor,
+    receiving: Tensor,
+    tilt: Tensor,
+) -> Tensor:
+    """Eq. (2): I_d d + I_s w (table − d), of angles `[..., 1, H, W]` of one shape, in radians.
+
+    Returns:
+        `[..., 3, H, W]` in 1/sr.
+    """
+    angles = incidence, receiving, tilt
+    shape = list(incidence.shape)
+    shape[geometry.XYZ_DIM] = 3
+    d = incidence.new_zeros(shape) if part is None else part(*angles)
+    f = diffuse_gain * d
+    # a gain that is a tensor (an input of an exported graph) cannot decide what is computed
+    if table is not None and (isinstance(specular_gain, Tensor) or specular_gain != 0):
+        total, weight = table(*angles)
+        f = f + specular_gain * weight * (total - d)
+    return f
 
 
 def _state(model: RadenBrdf) -> tuple[Any, ...]:

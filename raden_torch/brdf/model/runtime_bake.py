@@ -79,26 +79,34 @@ class _Source:
 
 
 class _NodeMap:
-    """M and w of one `_Source`, and the angles of the nodes."""
+    """M and w of one `_Source`.
 
+    It outlives the call that made it, so it is made as any other tensor also in
+    `torch.inference_mode`.
+    """
+
+    @torch.inference_mode(False)
+    @torch.no_grad()
     def __init__(self, source: _Source) -> None:
         unread = torch.zeros((), device=source.device).expand(*source.nodes, 1)
         table = ReflectanceTable(unread, source.first_deg, source.step_deg, source.pieces)
         angles = (angle.flatten() for angle in node_angles(source.layout, source.device))
-        with torch.no_grad():
-            positions, weight = table.positions(*angles)
-            pairs = list(corners(source.nodes, *positions))
+        positions, weight = table.positions(*angles)
+        pairs = list(corners(source.nodes, *positions))
         self.columns = torch.stack([index for index, _ in pairs], 1).flatten().long()
         self.entries = torch.stack([entry for _, entry in pairs], 1).flatten().to(source.dtype)
         self.weight = weight.to(source.dtype)[:, None]
+        self.is_whole = bool((self.weight == 1).all())
         self.size = (len(weight), source.nodes[0] * source.nodes[1] * source.nodes[2])
 
     @cached_property
+    @torch.inference_mode(False)
     def matrix(self) -> Tensor:
         starts = torch.arange(0, len(self.columns) + 1, 8, device=self.columns.device)
         return _csr(starts, self.columns, self.entries, self.size)
 
     @cached_property
+    @torch.inference_mode(False)
     def transposed(self) -> Tensor:
         order = torch.argsort(self.columns, stable=True)
         counts = torch.bincount(self.columns, minlength=self.size[1])
@@ -157,7 +165,7 @@ def _bake(
     device = like.device if like.device.type in ("cpu", "cuda") else torch.device("cpu")
     channels = like.shape[-1]
     f = torch.zeros(*layout.shape, channels, dtype=dtype, device=device)
-    weight = None
+    weight, is_whole = None, False
     if table is not None and specular_gain != 0:
         pieces: Any = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None
         nodes = table.shape[:3]
@@ -171,14 +179,14 @@ def _bake(
             dtype,
         )
         rows = table.to(device, dtype).reshape(-1, channels)
-        weight = _node_map(source).weight.reshape(*layout.shape, 1)
+        nodes_of = _node_map(source)
+        weight, is_whole = nodes_of.weight.reshape(*layout.shape, 1), nodes_of.is_whole
         total = _Linear.apply(rows, source, False).reshape(f.shape)
         f = specular_gain * _balanced(weight * total)
     if scale is None or exponent is None:
         return f.to(like.device)
     # the two terms are balanced one by one, so that eq. (2) stays linear in its gains
-    whole = weight is not None and bool((weight == 1).all())
-    if whole and not isinstance(specular_gain, Tensor) and diffuse_gain == specular_gain:
+    if is_whole and not isinstance(specular_gain, Tensor) and diffuse_gain == specular_gain:
         f = f + 0 * (scale.sum() + exponent.sum()).to(f)  # it cancels; so its gradient is 0
         return f.to(like.device)
     a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, device))
@@ -186,7 +194,7 @@ def _bake(
     body = part[:, :, 0].T.to(dtype).reshape(f.shape)
     f = f + diffuse_gain * _balanced(body)
     if weight is not None:
-        f = f - specular_gain * _balanced(body if whole else weight * body)
+        f = f - specular_gain * _balanced(body if is_whole else weight * body)
     return f.to(like.device)
 
 

@@ -216,6 +216,18 @@ def test_a_change_of_the_model_is_seen() -> None:
         assert torch.equal(again(n, l, v), model(n, l, v))
 
 
+@pytest.mark.parametrize("trained", [True, False])
+def test_what_inference_mode_baked_serves_gradients_too(trained: bool) -> None:
+    model = lobe_model(layout=RuntimeLayout((17, 31, 29), (0.35, 0.45))).requires_grad_(trained)
+    n, l, v = maps(50)  # noqa: E741
+    with torch.inference_mode():
+        first = model(n, l, v)
+    f = model(n.requires_grad_(), l, v)
+    f.sum().backward()
+    assert torch.isfinite(n.grad).all()
+    assert torch.equal(f.detach(), first)
+
+
 def test_gradients_through_the_bake_are_those_of_differences() -> None:
     small = RuntimeLayout((4, 5, 5), (0.5, 0.5))
     values = 0.2 + torch.rand(3, 5, 5, 2, generator=torch.Generator().manual_seed(4)).double()
