@@ -9,8 +9,9 @@ import torch
 
 from raden_torch.brdf.files.exr_tensors import in_halves
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, has_pixels
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.lights import Light
-from raden_torch.brdf.shading.shade import Reflection, shade, warn_if_black
+from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.images.exr import rows_written
 
 

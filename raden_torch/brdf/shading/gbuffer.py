@@ -13,6 +13,9 @@ from raden_torch.brdf.shading.depth import depth_kind, in_front, to_planar
 from raden_torch.brdf.shading.lights import Triple, as_map, checked
 from raden_torch.errors import InputError, check_type
 
+_VECTOR_MAPS = ("normal", "view", "position", "layer_normal", "tangent")
+_MAPS = ("normal", "view", "position", "camera", "mask", "layer_normal", "tangent", "material")
+
 
 @dataclass(frozen=True, eq=False)
 class GBuffer:
@@ -28,6 +31,11 @@ class GBuffer:
         camera: `[3]` or `[B, 3]`, the viewer's position.
         mask: `[B, 1, H, W]`, how much of the pixel is this material: bool; floating, 0…1; or 8-bit
             integers, 0…255, or 0 and 1 where none is above 1. Kept as bool or floating.
+        layer_normal: `[B, 3, H, W]` (or broadcastable) normals of the film layers, where they do
+            not lie in the polished surface.
+        tangent: `[B, 3, H, W]` (or broadcastable), the direction of azimuth 0 of an anisotropic
+            material; only its part in the surface counts.
+        material: which of several materials: `[B, 1, H, W]` integers, or `[B, K, H, W]` weights.
 
     Examples:
         >>> import torch
@@ -42,6 +50,9 @@ class GBuffer:
     position: Tensor | None = None
     camera: Triple | None = None
     mask: Tensor | None = None
+    layer_normal: Tensor | None = None
+    tangent: Tensor | None = None
+    material: Tensor | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.normal, Tensor) or self.normal.ndim != 4:
@@ -59,8 +70,10 @@ class GBuffer:
             object.__setattr__(self, "view", _triple("view", view, self.normal))
         if self.camera is not None:
             _triple("camera", self.camera, self.normal)
-        maps = {"normal": self.normal, "view": self.view, "position": self.position}
+        maps = {k: getattr(self, k) for k in _VECTOR_MAPS}
         geometry.check_vector_maps(**{k: cast(Tensor, v) for k, v in maps.items() if v is not None})
+        if self.material is not None:
+            self._check_material(self.material)
         if self.mask is not None:
             self._check_mask(self.mask)
             object.__setattr__(self, "mask", coverage(self.mask))
@@ -68,7 +81,7 @@ class GBuffer:
     def __repr__(self) -> str:
         maps = (
             f"{name}={list(value.shape)}"
-            for name in ("normal", "view", "position", "camera", "mask")
+            for name in _MAPS
             if isinstance(value := getattr(self, name), Tensor)
         )
         return f"GBuffer({', '.join(maps)}, {self.normal.dtype}, {self.normal.device})"
@@ -132,12 +145,27 @@ class GBuffer:
         # __post_init__ saw to it that both are there
         return as_map(cast(Triple, self.camera), like) - cast(Tensor, self.position).to(like.dtype)
 
+    def _check_material(self, material: Tensor) -> None:
+        check_type("GBuffer material", material, Tensor, "convert it by torch.as_tensor(x)")
+        indices = not material.is_floating_point()
+        if not self._fits(material) or (indices and material.shape[1] != 1):
+            b, _, h, w = self.normal.shape
+            raise InputError(
+                f"GBuffer material: expected integers {[b, 1, h, w]} or floating-point weights "
+                f"[{b}, K, {h}, {w}], got {material.dtype} {list(material.shape)}"
+            )
+
+    def _fits(self, values: Tensor) -> bool:
+        """Whether a map is broadcastable to the normals, but for its channels."""
+        if values.ndim != 4:
+            return False
+        sides = ((values.shape[i], self.normal.shape[i]) for i in (0, 2, 3))
+        return all(own in (1, side) for own, side in sides)
+
     def _check_mask(self, mask: Tensor) -> None:
         check_type("GBuffer mask", mask, Tensor, "convert it by torch.as_tensor(x)")
         size = self.normal.shape
-        fits = mask.ndim == 4 and mask.shape[1] == 1
-        fits = fits and all(m in (1, n) for m, n in zip(mask.shape, size, strict=True))
-        if not fits:
+        if not self._fits(mask) or mask.shape[1] != 1:
             raise InputError(
                 f"GBuffer mask: expected shape {[size[0], 1, *size[2:]]} for normal {list(size)}, "
                 f"got {list(mask.shape)}"

@@ -9,9 +9,10 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.gbuffer import GBuffer, coverage
 from raden_torch.brdf.shading.lights import DirectionalLight, Light
-from raden_torch.brdf.shading.shade import Reflection, shade, warn_if_black
+from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.errors import InputError
 
 _LUMINANCE = (0.2126, 0.7152, 0.0722)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from functools import partial
+from dataclasses import dataclass
 from numbers import Real
-from typing import Protocol, cast, get_args
+from typing import cast, get_args
 
 import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
@@ -28,16 +29,6 @@ from raden_torch.errors import InputError, check_type
 
 _LAMPS_NAMED = 4
 _LIGHTS = get_args(Light)
-
-
-class Reflection(Protocol):
-    """What `shade` needs of a material; `RadenBrdf` is one."""
-
-    def working_dtype(self, *maps: Tensor) -> torch.dtype:
-        """The dtype to compute in for maps of these dtypes."""
-
-    def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
-        """f_r in 1/sr of unit (or zero) vectors, 0 below the horizon."""
 
 
 def shade(
@@ -98,23 +89,36 @@ def shade(
     return _eagerly(model, gbuffer, lights)
 
 
+@dataclass(frozen=True)
+class _Baked:
+    """A model with its runtime table."""
+
+    model: RadenBrdf
+    table: Tensor
+
+    def working_dtype(self, *maps: Tensor) -> torch.dtype:
+        return self.model.working_dtype(*maps)
+
+    def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
+        return self.model.of_unit_vectors(n, l, v, self.table)
+
+
 def _eagerly(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light]) -> Tensor:
     """The image in torch, light by light."""
     maps = [m for m in (gbuffer.normal, gbuffer.view, gbuffer.position) if isinstance(m, Tensor)]
     dtype = model.working_dtype(*maps)
-    normal = geometry.normalised(gbuffer.normal.to(dtype))
-    view = geometry.normalised(gbuffer.view_map(normal))
+    surface = _surface(gbuffer, dtype)
+    normal, view = surface.normal, surface.view
     position = None if gbuffer.position is None else gbuffer.position.to(dtype)
     image = torch.zeros((), dtype=dtype, device=normal.device)
-    f_r = model.of_unit_vectors
-    if type(model) is RadenBrdf:
-        f_r = partial(model.of_unit_vectors, table=model.runtime_table())
+    # with gradients a table is baked in every call: once is enough for all lights
+    material = _Baked(model, model.runtime_table()) if type(model) is RadenBrdf else model
     for light in lights:
         to_light, irradiance = light.at(position, normal)
         geometry.check_vector_maps(normal=normal, light=to_light, view=view)
         direction = geometry.normalised(to_light)
         cosine = geometry.dot(normal, direction).clamp(min=0)
-        f = f_r(normal, direction, view)
+        f = reflected(material, surface, direction)
         image = image + f * (irradiance * cosine)
     image = image.expand(torch.broadcast_shapes(image.shape, normal.shape, view.shape))
     valid = torch.isfinite(image)
@@ -122,6 +126,19 @@ def _eagerly(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light]) -> Te
         return torch.where(valid, image, torch.zeros_like(image))
     mask = torch.nan_to_num(gbuffer.mask.to(dtype), nan=0.0).clamp(0, 1)
     return torch.where(valid, image, torch.zeros_like(image)) * mask
+
+
+def _surface(gbuffer: GBuffer, dtype: torch.dtype) -> Surface:
+    normal = geometry.normalised(gbuffer.normal.to(dtype))
+    view = geometry.normalised(gbuffer.view_map(normal))
+    layers, tangent = gbuffer.layer_normal, gbuffer.tangent
+    return Surface(
+        normal,
+        view,
+        None if layers is None else geometry.normalised(layers.to(dtype)),
+        None if tangent is None else tangent.to(dtype),
+        gbuffer.material,
+    )
 
 
 def warn_if_black(image: Tensor, lights: Sequence[Light]) -> None:
@@ -152,7 +169,7 @@ def _by_kernel(
 ) -> Tensor | None:
     """The fused kernel's image, or None where the eager form has to do it."""
     known = [light for light in lights if isinstance(light, KernelLight)]
-    if len(known) < len(lights):
+    if len(known) < len(lights) or gbuffer.layer_normal is not None:
         return None
     normal, position, mask = gbuffer.normal, gbuffer.position, gbuffer.mask
     view = gbuffer.view if isinstance(gbuffer.view, Tensor) else None
