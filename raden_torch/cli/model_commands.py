@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -110,13 +110,21 @@ def export(
     model: ModelFile,
     /,
     *,
-    output: Annotated[Path, output("the .onnx file to write")],
+    output: Annotated[
+        Path, output("the file to write: .onnx, or .glsl or .wgsl with its table beside it")
+    ],
     how: ExportOptions = ExportOptions(),
 ) -> None:
     from raden_torch.brdf.files.model_file import load_model
     from raden_torch.export.export import export_onnx
+    from raden_torch.export.shading_language import LANGUAGES, export_shader
 
-    check_output(output, (".onnx",), inputs=(model,))
+    check_output(output, (".onnx", *LANGUAGES), inputs=(model,))
+    if output.suffix in LANGUAGES:
+        _refuse_onnx_options(how, output.suffix)
+        written = export_shader(load_model(model), output)
+        print(f"{written}\nwrote {', '.join(str(file) for file in written.files)}")
+        return
     with working("exporting"):
         report = export_onnx(
             load_model(model),
@@ -128,6 +136,12 @@ def export(
             fixed=how.fixed,
         )
     print(f"{report}\nwrote {output}")
+
+
+def _refuse_onnx_options(how: ExportOptions, suffix: str) -> None:
+    for field in fields(how):
+        if getattr(how, field.name) != field.default:
+            raise InputError(f"--{field.name}: expected with an .onnx file, got {suffix}")
 
 
 def verify(
@@ -144,7 +158,14 @@ def verify(
     ] = (),
 ) -> None:
     from raden_torch.export.export import verify_onnx
+    from raden_torch.export.shading_language import LANGUAGES
+    from raden_torch.export.shading_language_check import verify_shader
 
+    if file.suffix in LANGUAGES:
+        with working(f"verifying {file.name}"):
+            check = verify_shader(file, node_modules=node_modules)
+        print(check)
+        return
     with working(f"verifying {file.name}"):
         report = verify_onnx(file, node_modules=node_modules, pythons=python)
     print(report)

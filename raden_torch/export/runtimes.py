@@ -149,7 +149,7 @@ def _worker(
     name: str, command: list[str], data: bytes, takes_all: bool = False
 ) -> Iterator[Runtime | SkippedRuntime]:
     try:
-        worker = Worker(command, data)
+        worker = Worker(command, {"model.onnx": data})
     except WorkerError as error:
         yield SkippedRuntime(name, f"cannot load it: {one_line(error)}")
         return

@@ -78,12 +78,12 @@ def test_another_python_is_asked_for_its_own_picture(
 def test_a_worker_says_what_is_wrong(exported: Callable, shell: rt.RadenBrdf) -> None:
     command = [sys.executable, str(PROGRAMS / "other_python.py")]
     with pytest.raises(WorkerError, match="InvalidProtobuf"):
-        Worker(command, b"not a model")
+        Worker(command, {"model.onnx": b"not a model"})
     with pytest.raises(WorkerError, match="missing"):
-        Worker([str(PROGRAMS / "missing")], b"")
+        Worker([str(PROGRAMS / "missing")], {})
     with pytest.raises(WorkerError, match="ended"):
-        Worker([sys.executable, "-c", "print('hello')"], b"")
-    worker = Worker(command, exported(shell).path.read_bytes())
+        Worker([sys.executable, "-c", "print('hello')"], {})
+    worker = Worker(command, {"model.onnx": exported(shell).path.read_bytes()})
     try:
         with pytest.raises(WorkerError, match="normal"):
             worker.run({"light": np.ones((1, 3, 1, 1), np.float32)})

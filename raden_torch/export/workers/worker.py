@@ -1,6 +1,6 @@
 """One conversation with a program that runs a file in a process of its own.
 
-The program gets a folder with `model.onnx`. It answers one JSON line a request:
+The program gets a folder with the files that it runs. It answers one JSON line a request:
 
     (at start)                                  → {"version": "1.30.0", "note": ""}
     {"inputs": {name: [sizes]}, "repeat": n}    → {"shape": [sizes], "milliseconds": [n times]}
@@ -17,6 +17,7 @@ import queue
 import subprocess
 import tempfile
 import threading
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -33,20 +34,21 @@ class WorkerError(RuntimeError):
 
 
 class Worker:
-    """A running program with the file loaded.
+    """A running program with its files loaded.
 
     Args:
         command: the program and its arguments; the folder is appended.
-        data: the file.
+        files: their contents by name.
 
     Raises:
-        WorkerError: it does not start, or cannot load the file.
+        WorkerError: it does not start, or cannot load the files.
     """
 
-    def __init__(self, command: list[str], data: bytes) -> None:
+    def __init__(self, command: list[str], files: Mapping[str, bytes]) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="raden-")
         self._path = Path(self._folder.name)
-        (self._path / "model.onnx").write_bytes(data)
+        for name, data in files.items():
+            (self._path / name).write_bytes(data)
         try:
             self._process = subprocess.Popen(
                 [*command, self._folder.name],
