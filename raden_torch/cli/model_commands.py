@@ -111,15 +111,31 @@ def export(
     /,
     *,
     output: Annotated[
-        Path, output("the file to write: .onnx, or .glsl or .wgsl with its table beside it")
+        Path,
+        output(
+            "the file to write: .onnx; .glsl or .wgsl, with the table beside it; or .html, a viewer"
+        ),
     ],
+    compare: Annotated[
+        ModelFile | None, Parameter(help="a second model that the viewer shows beside the first")
+    ] = None,
     how: ExportOptions = ExportOptions(),
 ) -> None:
     from raden_torch.brdf.files.model_file import load_model
     from raden_torch.export.export import export_onnx
     from raden_torch.export.shading_language import LANGUAGES, export_shader
 
-    check_output(output, (".onnx", *LANGUAGES), inputs=(model,))
+    check_output(output, (".onnx", *LANGUAGES, ".html"), inputs=(model, compare))
+    if compare is not None and output.suffix != ".html":
+        raise InputError(f"--compare: expected with an .html file, got {output.suffix}")
+    if output.suffix == ".html":
+        from raden_torch.export.viewer_file import export_viewer
+
+        _refuse_onnx_options(how, output.suffix)
+        beside = None if compare is None else load_model(compare)
+        size = export_viewer(load_model(model), output, compare=beside)
+        print(f"a viewer of {size} bytes, which opens from disk\nwrote {output}")
+        return
     if output.suffix in LANGUAGES:
         _refuse_onnx_options(how, output.suffix)
         written = export_shader(load_model(model), output)

@@ -1,0 +1,1 @@
+"""The viewer's page, put together by `viewer_file.py`."""
