@@ -141,7 +141,8 @@ def _leaf_strip(
             veins = (high - along) * length * 0.87 - _GAP
         if strip == of - 1:
             veins = (along - low) * length * 0.87 - _GAP
-        return torch.minimum(half, veins)
+        ends = torch.minimum(u, length - u)
+        return torch.minimum(torch.minimum(half, veins), ends)
 
     def outline_of(f: Tensor) -> Tensor:
         return f * 0.8  # the margin leans
@@ -159,7 +160,11 @@ def butterfly(
     shell: str = "mexican",
     spots: str = "yakogai",
 ) -> Iterator[ShellPiece]:
-    """A butterfly from above that flies towards `angle`; every cell of a wing is a piece."""
+    """A butterfly from above that flies towards `angle`; every cell of a wing is a piece.
+
+    Args:
+        spots: the shell of its body and of the spots on its wings.
+    """
     along, across = (math.cos(angle), math.sin(angle)), (-math.sin(angle), math.cos(angle))
 
     def at(forward: float, aside: float) -> tuple[float, float]:
@@ -169,7 +174,7 @@ def butterfly(
         )
 
     for forward, long in ((0.22, 0.09), (0.03, 0.11), (-0.19, 0.13)):
-        yield ellipse(*at(forward, 0), long * size, 0.040 * size, angle, "akoya")
+        yield ellipse(*at(forward, 0), long * size, 0.040 * size, angle, spots)
     for side in (-1.0, 1.0):
         for far, aside, r in ((0.33, 0.62, 0.075), (-0.40, 0.40, 0.06)):
             yield ellipse(*at(far, side * aside), r * size, r * size, 0.0, spots)

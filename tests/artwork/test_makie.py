@@ -38,13 +38,14 @@ def test_the_lid_s_maps() -> None:
     again = lid(*window(160, -1.4, 1.0, 2.0))
     assert again.gold.equal(maps.gold)
     other = lid(*window(160, -1.4, 1.0, 2.0), seed=8)
-    assert not other.gold.equal(maps.gold)
     assert not other.shell.tablets.equal(maps.shell.tablets)
 
 
 def test_gold_holds_its_density_at_any_resolution() -> None:
     coarse = lid(*window(40, -1.3, -0.5, 0.4)).gold
     fine = lid(*window(320, -1.3, -0.5, 0.4)).gold
+    other = lid(*window(320, -1.3, -0.5, 0.4), seed=8).gold
+    assert not other.equal(fine)
     assert fine.mean() == pytest.approx(float(coarse.mean()), abs=0.04)
 
 
@@ -66,7 +67,7 @@ def test_no_powder_where_none_is_asked_for() -> None:
     density = (x > 0.5).double() * 0.6
     covered = powder(density, x, y, pixel, flake=0.02, seed=1)
     assert (covered[x < 0.5] == 0).all()
-    assert covered[x > 0.5].max() > 0.9
+    assert covered[x > 0.5].max() > 0.85
 
 
 @pytest.mark.parametrize("n", [50, 400])
