@@ -133,19 +133,7 @@ def _strokes() -> Iterator[Stroke]:
             0.0055,
             0.002,
         )
-    for y0, lift, width in (
-        (-0.86, 0.05, 0.006),
-        (-0.80, 0.05, 0.004),
-        (-0.74, 0.045, 0.006),
-        (-0.67, 0.04, 0.0035),
-        (-0.61, 0.035, 0.005),
-    ):
-        start = 0.25 + 1.2 * (y0 + 0.86)
-        points = [
-            (start + 0.1 * k, y0 + lift * math.sin(0.62 * k + 9 * y0) + 0.012 * k)
-            for k in range(12)
-        ]
-        yield Stroke([p for p in points if p[0] < 1.30], 0.001, width)
+    yield from _stream()
     for bx, by, size, a in (
         (0.80, 0.56, 0.30, math.radians(155)),
         (1.10, 0.02, 0.17, math.radians(115)),
@@ -176,6 +164,25 @@ def _strokes() -> Iterator[Stroke]:
             ((-w, h), (-w, -h)),
         ):
             yield Stroke([p, q], 0.0035, 0.0035)
+
+
+def _stream() -> Iterator[Stroke]:
+    """Flowing water: lines that swell and thin out, and an eddy."""
+    for k, (left, right) in enumerate(
+        ((0.12, 1.20), (0.34, 1.29), (0.22, 0.98), (0.52, 1.30), (0.44, 1.12), (0.74, 1.29))
+    ):
+        points = []
+        for step in range(15):
+            x = left + (right - left) * step / 14
+            lift = 0.034 * math.sin(5.2 * x + 0.45 * k) + 0.10 * (x - 0.1) ** 2
+            points.append((x, -0.87 + 0.052 * k + lift))
+        yield Stroke(points[:8], 0.0015, 0.0075)
+        yield Stroke(points[7:], 0.0075, 0.0015)
+    spiral = []
+    for step in range(24):
+        angle, r = 0.3 + 0.42 * step, 0.062 * (1 - 0.85 * step / 23)
+        spiral.append((1.10 + 1.35 * r * math.cos(angle), -0.37 + 0.8 * r * math.sin(angle)))
+    yield Stroke([(0.86, -0.52), (1.02, -0.47), (1.16, -0.42), *spiral], 0.003, 0.003)
 
 
 def _mist(x: Tensor, y: Tensor) -> Tensor:
