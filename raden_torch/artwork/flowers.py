@@ -63,11 +63,9 @@ def petal(
     length = outer - inner
 
     def inside(u: Tensor, v: Tensor) -> Tensor:
-        t = (u - inner) / length
-        narrowing = 0.42 + 0.58 * t.clamp(0, 1) ** 0.8
-        half = width / 2 * narrowing * torch.sqrt((1 - t.clamp(0, 1) ** 7).clamp(min=1e-6))
-        ends = torch.minimum(u - inner, outer - u)
-        return torch.minimum(half - v.abs(), ends)
+        t = ((u - inner) / length).clamp(0, 3)
+        half = width / 2 * (0.42 + 0.58 * t**0.8)
+        return torch.minimum(1 - t**7 - (v / half) ** 2, (u - inner) / half)
 
     def engraved(u: Tensor, v: Tensor) -> Tensor:
         beyond = torch.maximum(inner + 0.45 * length - u, u - inner - 0.88 * length)
@@ -96,10 +94,10 @@ def cherry_petal(cx: float, cy: float, radius: float, angle: float, shell: str) 
     """One petal whose root lies at cx, cy."""
 
     def inside(u: Tensor, v: Tensor) -> Tensor:
-        t = (u / radius).clamp(0, 1)
-        half = 0.56 * radius * torch.sin(math.pi * t**1.15).clamp(min=0) ** 0.62
-        notch = 0.84 * radius + 0.75 * v.abs() - u
-        return torch.minimum(torch.minimum(half - v.abs(), notch), u - 0.08 * radius)
+        t = (u / radius).clamp(0, 1.3)
+        wide = torch.sin(math.pi * t**1.15) - (v.abs() / (0.43 * radius)) ** 1.6
+        notch = 0.84 + 0.75 * v.abs() / radius - t
+        return torch.minimum(torch.minimum(wide, notch), t - 0.08)
 
     x, y = cx + radius / 2 * math.cos(angle), cy + radius / 2 * math.sin(angle)
     return ShellPiece(outline(placed(inside, cx, cy, angle)), x, y, 0.66 * radius, shell)
