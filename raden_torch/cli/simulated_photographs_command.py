@@ -19,8 +19,8 @@ class SimulationOptions:
     """What is photographed, and how: the fields of the library's `Options`."""
 
     material: str = "yakogai"
-    """yakogai, abalone, akoya, rough-plastic, rough-conductor, clear-coat, white, or a measurement
-    (.csv)"""
+    """yakogai, abalone, akoya, awabi, mexican, rough-plastic, rough-conductor, clear-coat, white,
+    or a measurement (.csv)"""
     shape: Literal["sphere", "plane"] = "sphere"
     """shape of the specimen"""
     lamps: int = 29

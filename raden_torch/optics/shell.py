@@ -103,7 +103,7 @@ def _reflectance(shell: Specimen, q_squared: Floats, tablet_nm: Floats) -> Float
     return np.asarray(map_coordinates(table, [row, column], order=1, mode="nearest"))
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _table(shell: Specimen) -> tuple[Floats, float, float]:
     """`[Q, W]` reflectance under the coat at `_Q_SQUARED`; the first of its W wavelengths across
     the films, and their step.

@@ -1,7 +1,8 @@
 """The built-in samples: simulated shells from film optics.
 
 Each is *a plausible nacre*, not a measured shell. In particular no measured tablet thickness of
-yakogai (*Turbo marmoratus*) was found: its colours are those that raden is made for, not data.
+yakogai (*Turbo marmoratus*) or of Japanese awabi (*Haliotis discus*) was found: their colours are
+those that raden is made for, not data. docs/shells.md compares them with published descriptions.
 
 Left out: diffraction at the steps where oblique layers come out of the surface (Liu, Shigley &
 Hurwit, Opt. Express 4, 177 (1999), 10.1364/OE.4.000177), the coat's own mirror image, the layers'
@@ -11,6 +12,7 @@ texture, fluorescence, light that travels sideways in the shell.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -28,6 +30,8 @@ INSTRUMENT = "simulated: film optics (transfer matrix)"
 MAX_ANGLE_DEG = 70.0
 NOISE_FLOOR = 1.0
 """The noise has at least the size that it has on a reflectance factor of 1."""
+
+TABLET_SCALES = (0.7, 1.4)
 
 _MIN_STEP_DEG = 1.0
 _ROWS_AT_ONCE = 20_000
@@ -77,6 +81,35 @@ SPECIMENS: dict[str, Specimen] = {
         source="tablets 345 to 368 nm, within the 330 to 440 nm reported for Akoya pearls",
         body_albedo=0.60,
     ),
+    # Tablets [A]: none known of Haliotis discus. 0.35…0.52 µm is reported for the thicker-layered
+    # abalones, Haliotis laevigata and rufescens [R] (as above). In 440…360 nm the third order goes
+    # from green through blue to violet and the second enters at pink: the blue, green and pink of
+    # the thin sheets that are sold for lacquer. Planes [A].
+    "awabi": Specimen(
+        Stack(tablet_nm=440, tablet_spread=0.03),
+        steep_tablet_nm=360,
+        facets=(
+            Facets(0.45, _slope(8.0), 0.050, 0.060),
+            Facets(0.40, _slope(8.0), 0.14, 0.14),
+            Facets(0.15, 0.0, 0.28, 0.28),
+        ),
+        source="tablets 360 to 440 nm, within the 350 to 520 nm reported for other abalones; no "
+        "measured thickness of Haliotis discus is known",
+        body_albedo=0.35,
+    ),
+    # Mexican shell, "mekishiko-gai" or peacock abalone: taken to be Haliotis fulgens [A]. Tablets
+    # [R]: 0.25…0.39 µm (as above). Planes [A]: strongly folded. Body [A]: dark.
+    "mexican": Specimen(
+        Stack(tablet_nm=300, tablet_spread=0.03),
+        steep_tablet_nm=255,
+        facets=(
+            Facets(0.45, _slope(10.0), 0.050, 0.060),
+            Facets(0.40, _slope(10.0), 0.14, 0.14),
+            Facets(0.15, 0.0, 0.28, 0.28),
+        ),
+        source="tablets 255 to 300 nm, within the 250 to 390 nm reported for Haliotis fulgens",
+        body_albedo=0.20,
+    ),
 }
 
 
@@ -88,13 +121,15 @@ def simulate_specimen(
     step_deg: float = 5.0,
     geometries_deg: ArrayLike | None = None,
     spectral: bool = False,
+    tablet_scale: float = 1.0,
 ) -> BrdfMeasurement:
     """Measure a simulated shell.
 
     The shell is the same in every call: `seed` draws the noise alone.
 
     Args:
-        name: "yakogai", "abalone" or "akoya".
+        name: "yakogai" (great green turban), "abalone" (pāua), "akoya" (pearl oyster), "awabi"
+            (Japanese abalone) or "mexican" (Mexican abalone).
         noise: relative standard deviation of every value, 0…1; values below a reflectance factor
             of 1 get the noise of 1. Where it is not 0 the measurement carries `std`.
         seed: whole number ≥ 0.
@@ -102,6 +137,8 @@ def simulate_specimen(
             number of steps in 70. 5 gives 15 x 29 x 29 readings.
         geometries_deg: `[M, 3]` incidence, receiving and tilt in degrees, in place of the grid.
         spectral: keep the bands 380nm, 385nm, … 780nm in place of X, Y, Z.
+        tablet_scale: the tablets' thickness over the specimen's own, 0.7…1.4: another place of the
+            same shell, whose colours are shifted (`artwork.cutting` has maps of such places).
 
     Returns:
         Reflectance factors, the perfect reflecting diffuser = 100; XYZ for D65 and the CIE 1931 2°
@@ -120,12 +157,14 @@ def simulate_specimen(
     noise = _number(noise, "noise", 0.0, 1.0)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed: expected a whole number of at least 0, got {seed!r}")
+    tablet_scale = _number(tablet_scale, "tablet_scale", *TABLET_SCALES)
+    shell = _rescaled(SPECIMENS[name], tablet_scale)
     angles = _grid(step_deg) if geometries_deg is None else _scattered(geometries_deg)
     bands_to_values = np.eye(len(BANDS_NM)) if spectral else _bands_to_xyz()
     values = np.empty((len(angles), bands_to_values.shape[1]))
     for start in range(0, len(angles), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
-        brdf = brdf_per_sr(SPECIMENS[name], *directions(np.radians(angles[rows])))
+        brdf = brdf_per_sr(shell, *directions(np.radians(angles[rows])))
         values[rows] = FACTOR_PER_SR * brdf @ bands_to_values
     std = noise * np.maximum(values, NOISE_FLOOR) if noise else None
     if std is not None:
@@ -138,7 +177,7 @@ def simulate_specimen(
         values=values,
         channels=_band_names() if spectral else XYZ,
         std=std,
-        metadata=_metadata(name, noise, seed),
+        metadata=_metadata(name, noise, seed, tablet_scale),
     )
 
 
@@ -166,13 +205,21 @@ def _band_names() -> tuple[str, ...]:
     return tuple(f"{band:g}nm" for band in BANDS_NM)
 
 
-def _metadata(name: str, noise: float, seed: int) -> Metadata:
-    noise_note = (("noise", f"{noise:g} relative, seed {seed}"),) if noise else ()
+def _rescaled(shell: Specimen, scale: float) -> Specimen:
+    """The same shell where its tablets are thicker or thinner; the organic sheets stay."""
+    stack = replace(shell.stack, tablet_nm=scale * shell.stack.tablet_nm)
+    return replace(shell, stack=stack, steep_tablet_nm=scale * shell.steep_tablet_nm)
+
+
+def _metadata(name: str, noise: float, seed: int, tablet_scale: float) -> Metadata:
+    notes = (("noise", f"{noise:g} relative, seed {seed}"),) if noise else ()
+    if tablet_scale != 1:
+        notes = (("tablets", f"{tablet_scale:g} times as thick"), *notes)
     return Metadata(
         sample=name,
         instrument=INSTRUMENT,
         simulated=True,
-        other=(("numbers", SPECIMENS[name].source), *noise_note),
+        other=(("numbers", SPECIMENS[name].source), *notes),
         notes=("a plausible nacre, not a measured shell",),
     )
 

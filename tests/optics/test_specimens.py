@@ -142,7 +142,10 @@ def test_grid_samples_the_lobes():
     assert fine.max() < 1.15 * fine[::2, ::2, ::2].max()
 
 
-@pytest.mark.parametrize(("name", "tilt"), [("yakogai", 10), ("abalone", 15), ("akoya", 0)])
+@pytest.mark.parametrize(
+    ("name", "tilt"),
+    [("yakogai", 10), ("abalone", 15), ("akoya", 0), ("awabi", 10), ("mexican", 10)],
+)
 def test_colour_travels_along_the_mirror(name, tilt):
     angles = np.arange(0, 71, 5)
     xyz = values(name, *((a, a, tilt) for a in angles))
@@ -158,6 +161,72 @@ def test_yakogai_goes_from_pink_to_green():
     assert pink[0] > 1.2 * pink[1]
     assert pink[2] > 1.1 * pink[1]
     assert green[1] > 1.5 * green[0]
+
+
+HUES_DEG = {"yellow": (40, 105), "green": (105, 190), "blue": (190, 300), "pink": (300, 345)}
+
+
+@pytest.mark.parametrize(
+    ("name", "scale", "seen", "unseen"),
+    [
+        # the descriptions are quoted in docs/shells.md
+        ("yakogai", 1.0, {"green": 0.3, "pink": 0.1}, {"yellow": 0.05, "blue": 0.1}),
+        ("awabi", 1.0, {"green": 0.15, "blue": 0.2, "pink": 0.2}, {"yellow": 0.05}),
+        ("mexican", 1.0, {"green": 0.4, "blue": 0.25}, {"yellow": 0.05}),
+        ("mexican", 1.2, {"green": 0.25, "pink": 0.1}, {"blue": 0.05}),
+    ],
+)
+def test_hues_are_those_of_descriptions(name, scale, seen, unseen):
+    """Shares of the mirror geometries to 60°, tilted to 25°, that have a hue of CIELAB.
+
+    A hue counts where the chroma is above 20; the brightest geometry is the white.
+    """
+    angles = [(a, a, t) for a in range(0, 61, 5) for t in range(0, 26, 5)]
+    xyz = simulate_specimen(name, geometries_deg=angles, tablet_scale=scale).values
+    x, y, z = np.cbrt(xyz / np.array([0.95047, 1.0, 1.08883]) / xyz[:, 1].max()).T
+    a, b = 500 * (x - y), 200 * (y - z)
+    hue, coloured = np.degrees(np.arctan2(b, a)) % 360, np.hypot(a, b) > 20
+
+    def share(which):
+        low, high = HUES_DEG[which]
+        return np.mean(coloured & (hue >= low) & (hue < high))
+
+    for which, least in seen.items():
+        assert share(which) > least, which
+    for which, most in unseen.items():
+        assert share(which) < most, which
+
+
+def test_abalones_are_more_vivid_than_pearl_oyster():
+    """Mean chroma |u'v' − white| over the mirror geometries."""
+
+    def chroma(name):
+        angles = [(a, a, t) for a in range(0, 61, 10) for t in range(0, 26, 5)]
+        xyz = values(name, *angles)
+        bottom = xyz @ [1, 15, 3]
+        u, v = 4 * xyz[:, 0] / bottom, 9 * xyz[:, 1] / bottom
+        return np.hypot(u - 0.1978, v - 0.4683).mean()
+
+    dull = max(chroma("akoya"), chroma("yakogai"))
+    for name in ("abalone", "awabi", "mexican"):
+        assert chroma(name) > 1.2 * dull, name
+
+
+def test_thicker_tablets_shift_the_peaks_in_proportion():
+    """Tablets and sheets of optical thickness n d: the order's wavelength follows their sum."""
+    geometry = [(8.0, 8.0, 10.0)]
+
+    def peak(scale):
+        spectrum = simulate_specimen(
+            "mexican", geometries_deg=geometry, spectral=True, tablet_scale=scale
+        ).values[0]
+        return BANDS_NM[spectrum.argmax()]
+
+    # n of aragonite near 1.69 and of the sheets 1.50; the planes' slope leaves 280 nm of tablet
+    low, high = 1.69 * 280 + 1.50 * 25, 1.69 * 280 * 1.12 + 1.50 * 25
+    assert peak(1.12) / peak(1.0) == pytest.approx(high / low, abs=0.02)
+    measured = simulate_specimen("mexican", geometries_deg=geometry, tablet_scale=1.12)
+    assert ("tablets", "1.12 times as thick") in measured.metadata.other
 
 
 # -- how it is asked for -----------------------------------------------------------------------
@@ -224,11 +293,12 @@ def test_says_that_it_is_simulated(name, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"name": "oyster"}, "specimen: expected one of yakogai, abalone, akoya, got 'oyster'"),
+        ({"name": "oyster"}, "specimen: expected one of yakogai, .*mexican, got 'oyster'"),
         ({"name": ["yakogai"]}, "got \\['yakogai'\\]"),
         ({"noise": -0.1}, "noise: expected a number in 0…1, got -0.1"),
         ({"noise": float("nan")}, "noise: .*got nan"),
         ({"noise": "much"}, "noise: .*got 'much'"),
+        ({"tablet_scale": 2}, "tablet_scale: expected a number in 0.7…1.4, got 2"),
         ({"seed": -1}, "seed: .*got -1"),
         ({"seed": 1.5}, "seed: .*got 1.5"),
         ({"step_deg": 0}, "step_deg: .*got 0$"),
