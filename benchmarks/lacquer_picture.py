@@ -25,7 +25,7 @@ from raden_torch.brdf.materials.urushi import (
 )
 
 LAMPS = [
-    rt.PointLight((-0.5, 1.2, 3.0), 16.0),
+    rt.PointLight((-0.5, 1.2, 3.0), 11.0),
     rt.PointLight((2.2, 0.4, 2.6), 9.0),
     rt.PointLight((-2.4, -1.0, 2.8), 7.0),
 ]
@@ -37,15 +37,13 @@ def powder_over(ground: Coated, made: InlaidPlate) -> Powder:
     assert position is not None
     x, y = position[:, :1], position[:, 1:2]
     strewn = 3.0 * ((-x - y) / 2 - 0.15).clamp(min=0) ** 1.5 * 2
-    flakes = Coated(
-        Foil("gold", 0.4, URUSHI_INDEX), URUSHI_INDEX, SUKI_ABSORPTION, COAT_MM, roughness=0.07
-    )
+    flakes = Coated(Foil("gold", 0.4, URUSHI_INDEX), URUSHI_INDEX, SUKI_ABSORPTION, COAT_MM / 4)
     return Powder(flakes, ground, coverage(strewn))
 
 
 @torch.no_grad()
 def picture(size: int) -> Tensor:
-    """`[1, 3, size, 2 size]` for display."""
+    """`[1, 3, size, 2 size]`, scene-linear."""
     model = rt.fit(rt.simulate_specimen("yakogai", step_deg=10), interpolation="trilinear").model
     shell = Coated(model, URUSHI_INDEX, base_in="air")
     made = plate(size)
@@ -53,7 +51,7 @@ def picture(size: int) -> Tensor:
         rt.shade(shell, made.shell, LAMPS) + rt.shade(powder_over(g, made), made.lacquer, LAMPS)
         for g in (black_urushi(), vermilion_urushi())
     ]
-    return torch.cat(images, dim=-1)
+    return torch.nn.functional.avg_pool2d(torch.cat(images, dim=-1), 2)
 
 
 def main() -> None:
