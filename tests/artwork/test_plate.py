@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.artwork.lacquer import Lacquer, fresnel, ggx, smith
+from raden_torch.artwork.lacquer import Lacquer
 from raden_torch.artwork.motif import inlay, pieces
 from raden_torch.artwork.plate import plate, shade_plate
 from raden_torch.errors import InputError
@@ -49,40 +49,6 @@ def test_wrong_plates_are_refused() -> None:
         plate(32, (0, -3, 0.1))
     with pytest.raises(InputError, match="16384"):
         plate(20_000)
-
-
-def test_fresnel_at_its_known_points() -> None:
-    """Normal incidence ((n−1)/(n+1))²; grazing 1; at Brewster's angle p vanishes."""
-    index = 1.53
-    at = lambda degrees: fresnel(torch.tensor(degrees).deg2rad().cos().double(), index).item()  # noqa: E731
-    assert at(0.0) == pytest.approx(((index - 1) / (index + 1)) ** 2)
-    assert at(90.0) == pytest.approx(1, abs=1e-6)
-    brewster = math.atan(index)
-    s = math.sin(brewster - math.asin(math.sin(brewster) / index)) ** 2
-    assert at(math.degrees(brewster)) == pytest.approx(s / 2, rel=1e-5)
-
-
-def test_ggx_is_a_distribution() -> None:
-    """∫ D cos θ dω = 1 over the hemisphere (Walter et al. 2007, eq. 4)."""
-    theta = (torch.arange(200_000, dtype=torch.float64) + 0.5) / 200_000 * math.pi / 2
-    for alpha in (0.05, 0.3, 0.8):
-        integrand = ggx(theta.cos(), alpha) * theta.cos() * theta.sin()
-        assert 2 * math.pi * integrand.mean() * math.pi / 2 == pytest.approx(1, rel=1e-3)
-        assert smith(torch.tensor(1.0), alpha) == pytest.approx(1)
-
-
-def test_lacquer_is_reciprocal_and_loses_energy(random_vectors) -> None:
-    lacquer = Lacquer()
-    up = torch.tensor([0.0, 0, 1]).view(1, 3, 1, 1).double()
-    light, view = random_vectors(20_000, 1), random_vectors(20_000, 2)
-    f = lacquer.of_unit_vectors(up, light, view)
-    torch.testing.assert_close(f, lacquer.of_unit_vectors(up, view, light))
-    assert (f >= 0).all()
-    assert (lacquer.of_unit_vectors(up, light, -view) == 0).all()
-    rough = Lacquer(base=(0.9, 0.9, 0.9), roughness=0.5)
-    one = random_vectors(1, 3)
-    albedo = 2 * math.pi * (rough.of_unit_vectors(up, one, view) * view[:, 2:]).mean()
-    assert 0.3 < albedo < 1
 
 
 def test_the_colour_travels_over_the_plate_and_the_highlight_is_where_it_should_be() -> None:

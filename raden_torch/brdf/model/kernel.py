@@ -59,15 +59,20 @@ _MAPS = 6
 
 def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
     """Whether the kernel can stand in for the eager form of this model on these tensors."""
-    if torch.onnx.is_in_onnx_export() or _is_transformed():
-        return False
-    tensors = [t for t in (*inputs, *model.parameters()) if t is not None]
-    device = tensors[0].device
-    if any(t.device != device or t.dtype not in PRECISIONS for t in tensors):
-        return False
-    if not _runs_on(device):
+    if not takes_tensors(*inputs, *model.parameters()):
         return False
     return model.table is None or model.table.values.shape[-1] == 3
+
+
+def takes_tensors(*tensors: Tensor | None) -> bool:
+    """Whether the kernel can stand in for the eager form: maps and what is behind the table."""
+    if torch.onnx.is_in_onnx_export() or _is_transformed():
+        return False
+    given = [t for t in tensors if t is not None]
+    device = given[0].device
+    if any(t.device != device or t.dtype not in PRECISIONS for t in given):
+        return False
+    return _runs_on(device)
 
 
 def _runs_on(device: torch.device) -> bool:

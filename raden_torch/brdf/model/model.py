@@ -164,7 +164,7 @@ class RadenBrdf(nn.Module):
         """
         if torch.compiler.is_compiling() or kernel.asks_for_gradient(self):
             return bake(self, self.layout)
-        state = _state(self)
+        state = model_state(self)
         known = _baked.get(self)
         if known is None or known[0] != state:
             # kept for calls of other modes
@@ -247,7 +247,7 @@ def equation_2(
     return f
 
 
-def _state(model: RadenBrdf) -> tuple[Any, ...]:
+def model_state(model: RadenBrdf) -> tuple[Any, ...]:
     """What differs whenever the runtime table has to."""
     return (
         model.layout,

@@ -2,7 +2,7 @@
 
 What a node holds is linear in the fit form's table T: I_d d + I_s w (M T − d), with the diffuse
 part d, the table's weight w, and a matrix M of eight entries a row, which is made once per layout;
-then `_balanced` moves the nodes a little. It is the torch operator `raden_torch::bake`,
+then `balanced` moves the nodes a little. It is the torch operator `raden_torch::bake`,
 differentiable in the table and the diffuse parameters.
 """
 
@@ -38,7 +38,7 @@ _CUTS = 5
 _DIFFERENTIABLE = 3
 """The first arguments, which have a gradient: table, scale, exponent."""
 _MOST_BALANCE = 0.05
-"""By what share of its value `_balanced` may change a node."""
+"""By what share of its value `balanced` may change a node."""
 _DEVICES = ("CPU", "CUDA", "XPU", "MPS")
 
 
@@ -182,7 +182,7 @@ def _bake(
         nodes_of = _node_map(source)
         weight, is_whole = nodes_of.weight.reshape(*layout.shape, 1), nodes_of.is_whole
         total = _Linear.apply(rows, source, False).reshape(f.shape)
-        f = specular_gain * _balanced(weight * total)
+        f = specular_gain * balanced(weight * total)
     if scale is None or exponent is None:
         return f.to(like.device)
     # the two terms are balanced one by one, so that eq. (2) stays linear in its gains
@@ -192,13 +192,13 @@ def _bake(
     a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, device))
     part = diffuse(a, r, t, scale.to(device).double(), exponent.to(device).double())
     body = part[:, :, 0].T.to(dtype).reshape(f.shape)
-    f = f + diffuse_gain * _balanced(body)
+    f = f + diffuse_gain * balanced(body)
     if weight is not None:
-        f = f - specular_gain * _balanced(body if is_whole else weight * body)
+        f = f - specular_gain * balanced(body if is_whole else weight * body)
     return f.to(like.device)
 
 
-def _balanced(values: Tensor) -> Tensor:
+def balanced(values: Tensor) -> Tensor:
     """Nodes `[U, V, W, C]` that make the mean between them right instead of the nodes themselves.
 
     A chord lies above a function of second difference D, on average by D/12 of that axis: taking

@@ -83,10 +83,20 @@ def shade(
         check_type(f"lights[{place}]", light, _LIGHTS)
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
-        image = _by_kernel(model, gbuffer, lights, tolerance)
+    one_table = _in_one_table(model)
+    if one_table is not None:
+        image = _by_kernel(one_table, gbuffer, lights, tolerance)
         if image is not None:
             return image
     return _eagerly(model, gbuffer, lights)
+
+
+def _in_one_table(model: Reflection) -> RadenBrdf | None:
+    """What the fused kernel can read: a `RadenBrdf`, or a baked material, which is read as one."""
+    if type(model) is RadenBrdf:
+        return model
+    baked = getattr(model, "runtime_brdf", None)
+    return None if baked is None else cast(RadenBrdf | None, baked())
 
 
 @dataclass(frozen=True)
