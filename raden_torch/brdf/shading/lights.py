@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from raden_torch.brdf.shading.area_lights import AreaLight
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.triples import Colour, Triple, as_map, checked, inverse_square
 from raden_torch.errors import InputError
@@ -132,7 +133,7 @@ class SpotLight:
 
 KernelLight = DirectionalLight | PointLight | SpotLight | DistantLamps
 """The lights that the fused kernel knows (`packed`)."""
-Light = KernelLight | EnvironmentLight
+Light = KernelLight | EnvironmentLight | AreaLight
 """Every light that `shade` takes."""
 
 
@@ -210,6 +211,9 @@ def directions_of(
     light: Light, position: Tensor | None, like: Tensor
 ) -> Iterator[tuple[Tensor, Tensor]]:
     """Direction to each lamp of a light, and the irradiance facing it; see their `at`."""
+    if isinstance(light, AreaLight):
+        yield from light.lamps(_needed(position, light).to(like.dtype), like)
+        return
     if isinstance(light, EnvironmentLight):
         light = light.lamps()
     if not isinstance(light, DistantLamps):

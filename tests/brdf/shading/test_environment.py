@@ -115,7 +115,7 @@ def test_a_prefiltered_frame_is_within_a_hundredth(shell, distant) -> None:
 @pytest.mark.parametrize("roughness", [0.05, 0.1])
 def test_lacquer_reflects_its_surroundings(roughness) -> None:
     gbuffer = sphere(12, samples=1)
-    light = EnvironmentLight(bright(64))
+    light = EnvironmentLight(bright(48))
     material = Lacquer(roughness=roughness)
     with torch.no_grad():
         truth = rt.shade(material, gbuffer, replace(light, samples="all"))
