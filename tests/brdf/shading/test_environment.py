@@ -9,7 +9,6 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.artwork.lacquer import Lacquer
 from raden_torch.brdf.files.environment_file import load_environment
 from raden_torch.brdf.shading import latlong
 from raden_torch.brdf.shading.environment import EnvironmentLight
@@ -110,18 +109,6 @@ def test_a_prefiltered_frame_is_within_a_hundredth(shell, distant) -> None:
     error = (image - truth).abs() / truth.max()
     assert error.square().mean().sqrt() < 0.005
     assert error.amax(1).flatten().quantile(0.97) < 0.01
-
-
-@pytest.mark.parametrize("roughness", [0.05, 0.1])
-def test_lacquer_reflects_its_surroundings(roughness) -> None:
-    gbuffer = sphere(12, samples=1)
-    light = EnvironmentLight(bright(48))
-    material = Lacquer(roughness=roughness)
-    with torch.no_grad():
-        truth = rt.shade(material, gbuffer, replace(light, samples="all"))
-        image = rt.shade(material, gbuffer, light)
-    error = (image - truth).abs() / truth.max()
-    assert error.square().mean().sqrt() < 0.02
 
 
 def test_radiance_has_a_gradient(shell) -> None:
