@@ -19,7 +19,7 @@ from raden_torch.cli.option_types import (
     files,
     output,
 )
-from raden_torch.cli.picture_options import ExrOptions, GBufferOptions
+from raden_torch.cli.picture_options import EnvironmentOptions, ExrOptions, GBufferOptions
 from raden_torch.cli.status import progress, without_other_inputs, working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output
@@ -66,6 +66,7 @@ def render(
         Lamps,
         Parameter(help="x,y,z towards a lamp at infinity, or point:x,y,z; may be repeated"),
     ] = (),
+    around: EnvironmentOptions = EnvironmentOptions(),
     exposure: Annotated[Stops, Parameter(help="exposure in stops, or auto")] = None,
     shape: ShapeOptions = ShapeOptions(),
     gbuffer: Annotated[
@@ -78,8 +79,8 @@ def render(
     from raden_torch.pictures import render_gbuffer, render_gbuffer_file, save_picture
 
     check_picture_path(output, (*PICTURE_SUFFIXES, ".exr"))
-    check_output(output, inputs=(model, gbuffer))
-    lights = _lights(light)
+    check_output(output, inputs=(model, gbuffer, around.environment))
+    lights = [*_lights(light), *around.lights()]
     if gbuffer is not None and output.suffix.lower() == ".exr":
         with progress("rendering") as shown:
             used = render_gbuffer_file(
@@ -158,11 +159,16 @@ def relight(
     *photos: Annotated[Path, files("one or more photographs of one size")],
     output: Annotated[Path, output("the image to write; a folder for several")],
     how: RelightOptions,
+    around: EnvironmentOptions = EnvironmentOptions(),
     exr: ExrOptions = ExrOptions(),
 ) -> None:
     from raden_torch.pictures import relight_files
 
-    used = without_other_inputs(photos, how.normals, how.mask, how.model)
+    if around.environment is not None and (how.strip or how.sheet):
+        raise InputError("--strip and --sheet show one lamp each; leave out --environment")
+    used = without_other_inputs(photos, how.normals, how.mask, how.model, around.environment)
+    surroundings = around.lights()
+    lights = [*(_lights(how.light) if surroundings else how.lamps()), *surroundings]
     with working("relighting"):
         written = relight_files(
             used,
@@ -170,7 +176,7 @@ def relight(
             how.mask,
             how.model,
             output,
-            how.lamps(),
+            lights,
             layout="strip" if how.strip else "sheet" if how.sheet else "picture",
             original=how.original_light,
             coded="linear" if how.linear else "srgb",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
@@ -11,6 +12,7 @@ from raden_torch.cli.option_types import Bytes, Pairs
 
 if TYPE_CHECKING:
     from raden_torch.brdf.files.gbuffer_reading import GBufferReading
+    from raden_torch.brdf.shading.lights import Light
 
 _EXR_FILES = Group("EXR files", sort_key=2)
 
@@ -60,3 +62,31 @@ class GBufferOptions(ExrOptions):
     def _fields(self) -> dict[str, Any]:
         channels = dict(self.channels)
         return {**super()._fields, "channels": channels, "smooth_px": self.smooth_px}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class EnvironmentOptions:
+    """What surrounds the scene; beside --light, or instead of it."""
+
+    environment: Path | None = None
+    """a lat-long map of the surroundings, .hdr or .exr: first row up, middle column away from the
+    viewer"""
+    rotate_environment: float = 0.0
+    """turn it by this many degrees about the vertical, counter-clockwise from above"""
+    environment_intensity: float = 1.0
+    """multiply it"""
+
+    def lights(self) -> list[Light]:
+        """None, or one."""
+        if self.environment is None:
+            return []
+        from raden_torch.brdf.files.environment_file import load_environment
+
+        return [
+            load_environment(
+                self.environment,
+                rotation_deg=self.rotate_environment,
+                intensity=self.environment_intensity,
+            )
+        ]

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from raden_torch import geometry
 from raden_torch.brdf.shading.gbuffer import GBuffer
-from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
+from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight, directions_of
 from raden_torch.brdf.shading.shade import shade
 from raden_torch.export.forms import FitForm, Form
 from raden_torch.export.profiles import ports
@@ -123,8 +123,9 @@ def _scene(form: Form, inputs: dict[str, Tensor]) -> Expected:
     view = camera[:, :, None, None] - position
     valid = _is_vector(normal) & _is_vector(view)
     sine = torch.ones_like(normal[:, :1]).double()
-    for light in lights:
-        direction = geometry.normalised(light.at(position, normal)[0])
+    lamps = (lamp for light in lights for lamp in directions_of(light, position, normal))
+    for to_light, _ in lamps:
+        direction = geometry.normalised(to_light)
         sine = torch.minimum(sine, _sine(direction, geometry.normalised(view)))
     region = _regions(sine, valid, torch.zeros_like(valid))
     nothing = torch.zeros_like(sine)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from raden_torch.brdf.files.normal_axes import NormalAxes
 from raden_torch.brdf.shading.depth import MAX_SMOOTH_PX, depth_kind
-from raden_torch.brdf.shading.lights import Triple
+from raden_torch.brdf.shading.triples import Triple
 from raden_torch.errors import InputError
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from raden_torch import geometry
 from raden_torch.brdf.shading.depth import depth_kind, in_front, to_planar
-from raden_torch.brdf.shading.lights import Triple, as_map, checked
+from raden_torch.brdf.shading.triples import Triple, as_map, checked
 from raden_torch.errors import InputError, check_type
 
 _VECTOR_MAPS = ("normal", "view", "position", "layer_normal", "tangent")

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
+from raden_torch.brdf.shading.area_lights import AreaLight
+from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
+from raden_torch.brdf.shading.triples import Colour, Triple, as_map, checked, inverse_square
 from raden_torch.errors import InputError
 from raden_torch.geometry import dot, normalised, working_dtype
-
-Triple = Tensor | Sequence[float]
-"""Three numbers, or a tensor `[3]` or `[B, 3]` (one for each image of a batch)."""
-Colour = Triple | float
-"""A `Triple` of linear RGB; one number is the same in all three channels."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +23,7 @@ class DirectionalLight:
         direction: towards the light, of any length.
         irradiance: linear RGB, on a plane that faces the light; π lights a perfect white diffuser
             to radiance 1.
+        visibility: `[B, 1, H, W]`, how much of it each pixel of the image sees, 0…1.
 
     Examples:
         >>> import torch
@@ -39,6 +36,7 @@ class DirectionalLight:
 
     direction: Triple
     irradiance: Colour = (torch.pi, torch.pi, torch.pi)
+    visibility: Tensor | None = None
 
     def __post_init__(self) -> None:
         _check(self, direction=self.direction, irradiance=self.irradiance)
@@ -55,6 +53,7 @@ class PointLight:
     Attributes:
         position: in the G-buffer's frame and unit of length.
         intensity: linear RGB; the irradiance facing it at distance d is intensity / d².
+        visibility: `[B, 1, H, W]`, how much of it each pixel of the image sees, 0…1.
 
     Examples:
         At twice the distance a lamp gives a quarter:
@@ -71,6 +70,7 @@ class PointLight:
 
     position: Triple
     intensity: Colour = (torch.pi, torch.pi, torch.pi)
+    visibility: Tensor | None = None
 
     def __post_init__(self) -> None:
         _check(self, position=self.position, intensity=self.intensity)
@@ -90,6 +90,7 @@ class SpotLight:
         intensity: linear RGB on the axis.
         inner_deg, outer_deg: half angles of the cone; full intensity within the inner one, none
             outside the outer one, a smooth step of the angle's cosine between.
+        visibility: `[B, 1, H, W]`, how much of it each pixel of the image sees, 0…1.
 
     Examples:
         On its axis, and outside its cone:
@@ -109,6 +110,7 @@ class SpotLight:
     intensity: Colour = (torch.pi, torch.pi, torch.pi)
     inner_deg: float = 15.0
     outer_deg: float = 25.0
+    visibility: Tensor | None = None
 
     def __post_init__(self) -> None:
         _check(self, position=self.position, target=self.target, intensity=self.intensity)
@@ -129,23 +131,10 @@ class SpotLight:
         return to_light, irradiance * (x * x * (3 - 2 * x))
 
 
-KernelLight = DirectionalLight | PointLight | SpotLight
+KernelLight = DirectionalLight | PointLight | SpotLight | DistantLamps
 """The lights that the fused kernel knows (`packed`)."""
-Light = KernelLight
-"""Every light that `shade` takes; what the kernel does not know is shaded by the eager form."""
-
-
-def as_map(value: Colour, like: Tensor) -> Tensor:
-    """One number, `[3]` or `[B, 3]` → `[1 or B, 3, 1, 1]`, as `like` is."""
-    tensor = torch.as_tensor(_own(value), dtype=like.dtype, device=like.device)
-    return (tensor.expand(3) if tensor.ndim == 0 else tensor).reshape(-1, 3, 1, 1)
-
-
-def _own(value: Any) -> Any:
-    """NumPy's arrays as torch takes them: of any dtype, reversed, read-only."""
-    if isinstance(value, (np.ndarray, np.generic)):
-        return torch.from_numpy(np.array(value, np.float64))
-    return value
+Light = KernelLight | EnvironmentLight | AreaLight
+"""Every light that `shade` takes."""
 
 
 def packed(
@@ -164,9 +153,14 @@ def packed(
         # made here and copied once, without waiting for the GPU
         here = packed(lights, position, like.new_empty(0, device="cpu"), may_be_lost)
         return here.pin_memory().to(like.device, non_blocking=True)
-    rows = [_row(light, position, like, may_be_lost) for light in lights]
-    batch = max(len(row) for row in rows)
-    return torch.stack([row.expand(batch, -1) for row in rows])
+    rows = [
+        _rows(light, like, may_be_lost)
+        if isinstance(light, DistantLamps)
+        else _row(light, position, like, may_be_lost)[None]
+        for light in lights
+    ]
+    batch = max(row.shape[1] for row in rows)
+    return torch.cat([row.expand(-1, batch, -1) for row in rows])
 
 
 def _on_a_gpu(lights: Sequence[KernelLight]) -> bool:
@@ -174,8 +168,21 @@ def _on_a_gpu(lights: Sequence[KernelLight]) -> bool:
     return any(isinstance(value, Tensor) and value.is_cuda for value in values)
 
 
+def _rows(lamps: DistantLamps, like: Tensor, may_be_lost: Tensor | float) -> Tensor:
+    """`[K, 1, 13]`; see `packed`."""
+    colour = lamps.irradiance.detach().to(like.device, working_dtype(like))
+    rows = colour.new_zeros(len(colour), 13)
+    rows[:, 1:4] = lamps.directions.to(rows)
+    rows[:, 4:7] = colour
+    rows[:, 12] = torch.nan_to_num((colour.abs() / may_be_lost).amax(1), nan=0.0)
+    return rows[:, None]
+
+
 def _row(
-    light: KernelLight, position: Tensor | None, like: Tensor, may_be_lost: Tensor | float
+    light: DirectionalLight | PointLight | SpotLight,
+    position: Tensor | None,
+    like: Tensor,
+    may_be_lost: Tensor | float,
 ) -> Tensor:
     def columns(value: Colour) -> Tensor:
         return as_map(value, like.new_zeros((), dtype=dtype))[..., 0, 0]
@@ -200,18 +207,27 @@ def _row(
     return torch.cat([part.expand(batch, -1) for part in parts], dim=1)
 
 
+def directions_of(
+    light: Light, position: Tensor | None, like: Tensor
+) -> Iterator[tuple[Tensor, Tensor]]:
+    """Direction to each lamp of a light, and the irradiance facing it; see their `at`."""
+    if isinstance(light, AreaLight):
+        yield from light.lamps(_needed(position, light).to(like.dtype), like)
+        return
+    if isinstance(light, EnvironmentLight):
+        light = light.lamps()
+    if not isinstance(light, DistantLamps):
+        yield light.at(position, like)
+        return
+    for direction, irradiance in zip(light.directions, light.irradiance, strict=True):
+        yield as_map(direction, like), as_map(irradiance, like)
+
+
 def _from_a_point(
     light: PointLight | SpotLight, position: Tensor | None, like: Tensor
 ) -> tuple[Tensor, Tensor]:
     to_light = as_map(light.position, like) - _needed(position, light)
     return to_light, as_map(light.intensity, like) * inverse_square(to_light)
-
-
-def inverse_square(to_light: Tensor) -> Tensor:
-    """1/d², 0 at d = 0 (a lamp in the surface lights nothing)."""
-    square = dot(to_light, to_light)
-    apart = square > torch.finfo(square.dtype).tiny
-    return torch.where(apart, 1 / torch.where(apart, square, torch.ones_like(square)), 0)
 
 
 def _needed(position: Tensor | None, light: object) -> Tensor:
@@ -237,27 +253,3 @@ def _check(light: object, **triples: Colour) -> None:
                 f"{where}: expected numbers that single precision holds, got {value!r}; "
                 "its length does not count"
             )
-
-
-def checked(where: str, value: Colour, *, may_be_one: bool = False) -> Tensor:
-    """A `Triple` as a tensor in double precision on the CPU.
-
-    Args:
-        where: what it is, for messages.
-        may_be_one: one number stands for three.
-
-    Raises:
-        InputError: other shapes, or numbers that are not finite.
-    """
-    try:
-        tensor = torch.as_tensor(_own(value), dtype=torch.float64, device="cpu")
-    except (TypeError, ValueError, OverflowError, RuntimeError):
-        raise InputError(f"{where}: expected three numbers, got {value!r}") from None
-    if tensor.ndim == 0 and may_be_one:
-        tensor = tensor.expand(3)
-    if tensor.ndim not in (1, 2) or tensor.shape[-1] != 3:
-        raise InputError(f"{where}: expected shape [3] or [B, 3], got {list(tensor.shape)}")
-    # a graph that is traced knows no values
-    if not torch.compiler.is_compiling() and not torch.isfinite(tensor).all():
-        raise InputError(f"{where}: expected three finite numbers, got {value!r}")
-    return tensor

@@ -11,7 +11,7 @@ from torch import Tensor
 from raden_torch import geometry
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.gbuffer import GBuffer, coverage
-from raden_torch.brdf.shading.lights import DirectionalLight, Light
+from raden_torch.brdf.shading.lights import DirectionalLight, Light, directions_of
 from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.errors import InputError
 
@@ -91,8 +91,8 @@ def texture_of(photo: Tensor, normal: Tensor, mask: Tensor, lights: Sequence[Lig
     """
     normals = geometry.normalised(normal.to(photo.dtype))
     shading = torch.zeros_like(photo[:, :1])
-    for light in lights:
-        direction, irradiance = light.at(None, normals)
+    lamps = (lamp for light in lights for lamp in directions_of(light, None, normals))
+    for direction, irradiance in lamps:
         cosine = geometry.dot(normals, geometry.normalised(direction)).clamp(min=0)
         shading = shading + cosine * irradiance
     shading = shading * mask / shading.mul(mask).amax().clamp(min=1e-12)

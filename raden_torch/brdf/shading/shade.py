@@ -15,16 +15,18 @@ from raden_torch import geometry
 from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import (
     DirectionalLight,
     KernelLight,
     Light,
-    Triple,
-    as_map,
+    directions_of,
     packed,
 )
 from raden_torch.brdf.shading.lit_sphere import LitSphere, lit_sphere
+from raden_torch.brdf.shading.surroundings import shade_surroundings
+from raden_torch.brdf.shading.triples import Triple, as_map
 from raden_torch.errors import InputError, check_type
 
 _LAMPS_NAMED = 4
@@ -43,7 +45,8 @@ def shade(
     Args:
         model: the reflection model, a `RadenBrdf` or anything that reflects like one.
         gbuffer: the scene; half-precision maps are computed in float32.
-        lights: directional, point and spot lights. No light gives a black image.
+        lights: directional, point and spot lights, and environments, which are prefiltered where
+            that serves (`EnvironmentLight.samples`). No light gives a black image.
         tolerance: the error of a pixel's radiance, in the image's unit, that may be traded for
             time. Above 0, the fused CPU kernel leaves out lights that are certainly too far or too
             weak for a tile of 64 pixels to matter, and reads large frames under distant lamps from
@@ -83,12 +86,83 @@ def shade(
         check_type(f"lights[{place}]", light, _LIGHTS)
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
-    one_table = _in_one_table(model)
-    if one_table is not None:
-        image = _by_kernel(one_table, gbuffer, lights, tolerance)
-        if image is not None:
-            return image
-    return _eagerly(model, gbuffer, lights)
+    open_lights = [light for light in lights if light.visibility is None]
+    image = None
+    if open_lights or len(open_lights) == len(lights):
+        image = _lit(model, gbuffer, open_lights, tolerance)
+    for light in lights:
+        if light.visibility is not None:
+            seen = checked_visibility(light, gbuffer)
+            part = _lit(model, gbuffer, [light], tolerance)
+            part = part * seen.to(part)
+            image = part if image is None else image + part
+    return cast(Tensor, image)
+
+
+def _lit(model: Reflection, gbuffer: GBuffer, lights: list[Light], tolerance: float) -> Tensor:
+    """The image under lights that every pixel sees."""
+    around: list[EnvironmentLight] = []
+    lamps: list[Light] = []
+    for light in lights:
+        if isinstance(light, EnvironmentLight) and _is_prefiltered(model, gbuffer, light):
+            around.append(light)
+        else:
+            lamps.append(light)
+    image = None
+    if lamps or not around:
+        one_table = _in_one_table(model)
+        if one_table is not None:
+            image = _by_kernel(one_table, gbuffer, lamps, tolerance)
+        if image is None:
+            image = _eagerly(model, gbuffer, lamps)
+    if around:
+        found = _under_surroundings(model, gbuffer, around)
+        image = found if image is None else image + found
+    return cast(Tensor, image)
+
+
+def _is_prefiltered(model: Reflection, gbuffer: GBuffer, light: EnvironmentLight) -> bool:
+    """Whether radiance is a function of N and V alone, which nobody differentiates."""
+    more = (gbuffer.layer_normal, gbuffer.tangent, gbuffer.material)
+    if light.samples is not None or any(m is not None for m in more):
+        return False
+    parameters = model.parameters() if isinstance(model, torch.nn.Module) else ()
+    gains = (getattr(model, name, None) for name in ("diffuse_gain", "specular_gain"))
+    inputs = (*parameters, *gains, light.radiance, *(vars(gbuffer).values()))
+    tensors = [t for t in inputs if isinstance(t, Tensor)]
+    if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
+        return False
+    if type(model) is RadenBrdf and not kernel.takes(model, *_maps(gbuffer)):
+        return False
+    return gbuffer.normal.device.type == "cpu" and not torch.compiler.is_compiling()
+
+
+@torch.no_grad()
+def _under_surroundings(
+    model: Reflection, gbuffer: GBuffer, lights: list[EnvironmentLight]
+) -> Tensor:
+    """The image under environments, prefiltered."""
+    surface = _surface(gbuffer, model.working_dtype(*_maps(gbuffer)))
+    image = sum(shade_surroundings(model, surface.normal, surface.view, x) for x in lights)
+    return _masked(cast(Tensor, image).to(surface.normal.dtype), gbuffer.mask)
+
+
+def checked_visibility(light: Light, gbuffer: GBuffer) -> Tensor:
+    """A light's visibility map, 0 where it is not finite.
+
+    Raises:
+        InputError: a size that is not the image's.
+    """
+    seen = light.visibility
+    what = f"{type(light).__name__} visibility"
+    check_type(what, seen, Tensor, "convert it by torch.as_tensor(x)")
+    b, _, h, w = gbuffer.normal.shape
+    seen = cast(Tensor, seen)
+    if seen.ndim != 4 or seen.shape[1:] != (1, h, w) or seen.shape[0] not in (1, b):
+        raise InputError(
+            f"{what}: expected [{b}, 1, {h}, {w}], as the normals, got {list(seen.shape)}"
+        )
+    return torch.nan_to_num(seen.float(), nan=0.0).clamp(0, 1)
 
 
 def _in_one_table(model: Reflection) -> RadenBrdf | None:
@@ -115,27 +189,33 @@ class _Baked:
 
 def _eagerly(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light]) -> Tensor:
     """The image in torch, light by light."""
-    maps = [m for m in (gbuffer.normal, gbuffer.view, gbuffer.position) if isinstance(m, Tensor)]
-    dtype = model.working_dtype(*maps)
+    dtype = model.working_dtype(*_maps(gbuffer))
     surface = _surface(gbuffer, dtype)
     normal, view = surface.normal, surface.view
     position = None if gbuffer.position is None else gbuffer.position.to(dtype)
     image = torch.zeros((), dtype=dtype, device=normal.device)
     # with gradients a table is baked in every call: once is enough for all lights
     material = _Baked(model, model.runtime_table()) if type(model) is RadenBrdf else model
-    for light in lights:
-        to_light, irradiance = light.at(position, normal)
+    lamps = (lamp for light in lights for lamp in directions_of(light, position, normal))
+    for to_light, irradiance in lamps:
         geometry.check_vector_maps(normal=normal, light=to_light, view=view)
         direction = geometry.normalised(to_light)
         cosine = geometry.dot(normal, direction).clamp(min=0)
         f = reflected(material, surface, direction)
         image = image + f * (irradiance * cosine)
     image = image.expand(torch.broadcast_shapes(image.shape, normal.shape, view.shape))
-    valid = torch.isfinite(image)
-    if gbuffer.mask is None:
-        return torch.where(valid, image, torch.zeros_like(image))
-    mask = torch.nan_to_num(gbuffer.mask.to(dtype), nan=0.0).clamp(0, 1)
-    return torch.where(valid, image, torch.zeros_like(image)) * mask
+    return _masked(image, gbuffer.mask)
+
+
+def _masked(image: Tensor, mask: Tensor | None) -> Tensor:
+    image = torch.where(torch.isfinite(image), image, torch.zeros_like(image))
+    if mask is None:
+        return image
+    return image * torch.nan_to_num(mask.to(image.dtype), nan=0.0).clamp(0, 1)
+
+
+def _maps(gbuffer: GBuffer) -> list[Tensor]:
+    return [m for m in (gbuffer.normal, gbuffer.view, gbuffer.position) if isinstance(m, Tensor)]
 
 
 def _surface(gbuffer: GBuffer, dtype: torch.dtype) -> Surface:
@@ -170,6 +250,8 @@ def warn_if_black(image: Tensor, lights: Sequence[Light]) -> None:
 
 
 def _at(light: Light) -> str:
+    if isinstance(light, (EnvironmentLight, DistantLamps)):
+        return ""
     place = light.direction if isinstance(light, DirectionalLight) else light.position
     return ",".join(f"{x:g}" for x in torch.as_tensor(place).flatten().tolist()[:3])
 
@@ -178,6 +260,12 @@ def _by_kernel(
     model: RadenBrdf, gbuffer: GBuffer, lights: list[Light], tolerance: float
 ) -> Tensor | None:
     """The fused kernel's image, or None where the eager form has to do it."""
+    wants_gradient = torch.is_grad_enabled() and any(
+        isinstance(light, EnvironmentLight) and light.radiance.requires_grad for light in lights
+    )
+    if wants_gradient:
+        return None
+    lights = [x.lamps() if isinstance(x, EnvironmentLight) else x for x in lights]
     known = [light for light in lights if isinstance(light, KernelLight)]
     if len(known) < len(lights) or gbuffer.layer_normal is not None:
         return None
@@ -192,7 +280,7 @@ def _by_kernel(
     inputs = (normal, view, position, camera, floating, lamps)
     if not kernel.takes(model, *inputs) or kernel.asks_for_gradient(model, *inputs):
         return None
-    for lamp in lamps.unbind(0):
+    for lamp in lamps[:1]:
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
     if trades and view is not None:
         sphere = _sphere(model, normal, view, lights, lamps, tolerance / 2)
