@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from typing import cast, get_args
 
@@ -12,9 +13,11 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.by_material import shade_palette
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import (
     DirectionalLight,
@@ -41,7 +44,8 @@ def shade(
     """Outgoing radiance, L_r = Σ f_r E cos θi (Take 2012, eq. (1), summed over the lights).
 
     Args:
-        model: the reflection model, a `RadenBrdf` or anything that reflects like one.
+        model: the reflection model, a `RadenBrdf` or anything that reflects like one; or a
+            `Palette`, of which `gbuffer.material` chooses for each pixel.
         gbuffer: the scene; half-precision maps are computed in float32.
         lights: directional, point and spot lights. No light gives a black image.
         tolerance: the error of a pixel's radiance, in the image's unit, that may be traded for
@@ -81,6 +85,8 @@ def shade(
         raise InputError(f"tolerance: expected a radiance of 0 or more, got {tolerance}")
     for place, light in enumerate(lights):
         check_type(f"lights[{place}]", light, _LIGHTS)
+    if isinstance(model, Palette):
+        return shade_palette(model, gbuffer, lights, partial(shade, tolerance=tolerance))
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
         image = _by_kernel(model, gbuffer, lights, tolerance)
