@@ -12,6 +12,7 @@ from raden_torch.artwork.cutting import cut
 from raden_torch.artwork.flowers import butterfly, chrysanthemum, leaf
 from raden_torch.artwork.lacquer import Lacquer
 from raden_torch.artwork.pieces import ShellPiece
+from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import DirectionalLight
@@ -86,7 +87,7 @@ def shade_board(
 
 
 def _lacquer(
-    lacquer: Lacquer, slope: Tensor, position: Tensor, lights: Sequence[DirectionalLight]
+    lacquer: Coated, slope: Tensor, position: Tensor, lights: Sequence[DirectionalLight]
 ) -> Tensor:
     """The board all in lacquer. It is smooth: one sample in 8 x 8 will do."""
     thin = torch.nn.functional.avg_pool2d

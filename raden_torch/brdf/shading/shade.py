@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from numbers import Real
 from typing import cast, get_args
 
@@ -12,9 +13,11 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.by_material import shade_palette
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import (
@@ -43,7 +46,8 @@ def shade(
     """Outgoing radiance, L_r = Σ f_r E cos θi (Take 2012, eq. (1), summed over the lights).
 
     Args:
-        model: the reflection model, a `RadenBrdf` or anything that reflects like one.
+        model: the reflection model, a `RadenBrdf` or anything that reflects like one; or a
+            `Palette`, of which `gbuffer.material` chooses for each pixel.
         gbuffer: the scene; half-precision maps are computed in float32.
         lights: directional, point and spot lights, and environments, which are prefiltered where
             that serves (`EnvironmentLight.samples`). No light gives a black image.
@@ -84,8 +88,6 @@ def shade(
         raise InputError(f"tolerance: expected a radiance of 0 or more, got {tolerance}")
     for place, light in enumerate(lights):
         check_type(f"lights[{place}]", light, _LIGHTS)
-    if type(model) is RadenBrdf:
-        model.check_device(gbuffer.normal)
     open_lights = [light for light in lights if light.visibility is None]
     image = None
     if open_lights or len(open_lights) == len(lights):
@@ -99,8 +101,12 @@ def shade(
     return cast(Tensor, image)
 
 
-def _lit(model: Reflection, gbuffer: GBuffer, lights: list[Light], tolerance: float) -> Tensor:
+def _lit(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light], tolerance: float) -> Tensor:
     """The image under lights that every pixel sees."""
+    if isinstance(model, Palette):
+        return shade_palette(model, gbuffer, lights, partial(_lit, tolerance=tolerance))
+    if type(model) is RadenBrdf:
+        model.check_device(gbuffer.normal)
     around: list[EnvironmentLight] = []
     lamps: list[Light] = []
     for light in lights:
