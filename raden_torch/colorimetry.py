@@ -10,6 +10,10 @@ from raden_torch.arrays import Floats
 
 SRGB = (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290)
 """x, y of red, green, blue and white (IEC 61966-2-1)."""
+DISPLAY_P3 = (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.3127, 0.3290)
+"""The same of Display P3 (SMPTE EG 432-1's primaries with D65)."""
+ACESCG = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
+"""The same of ACEScg, whose primaries are AP1 (S-2014-004)."""
 D65_XYZ = np.array([95.047, 100.0, 108.883])
 """XYZ of the perfect reflecting diffuser under D65, 2° observer: CIE 015:2018, rounded as IEC
 61966-2-1 has it."""
@@ -67,3 +71,13 @@ def primary_matrix(chromaticities: Sequence[float]) -> Floats:
     x, y = np.reshape(chromaticities, (4, 2)).T[:, :3]
     primaries = np.stack([x, y, 1 - x - y])
     return np.asarray(primaries * np.linalg.solve(primaries, xyz_of_white(chromaticities[6:])))
+
+
+def between(source: Sequence[float], target: Sequence[float]) -> Floats:
+    """`[3, 3]`: linear RGB of one set of primaries → of another, adapted by Bradford.
+
+    Args:
+        source, target: x, y of red, green, blue and white.
+    """
+    adapted = bradford(xyz_of_white(source[6:]), xyz_of_white(target[6:]))
+    return np.asarray(np.linalg.solve(primary_matrix(target), adapted @ primary_matrix(source)))

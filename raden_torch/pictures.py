@@ -14,8 +14,7 @@ import torch
 from torch import Tensor
 
 from raden_torch.artwork.plate import plate, shade_plate
-from raden_torch.brdf.files.display import auto_exposure_ev, to_display, write_picture
-from raden_torch.brdf.files.exr_tensors import write_image
+from raden_torch.brdf.files.display import AS_IT_IS, Display, auto_exposure_ev
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.image_file import (
@@ -115,7 +114,7 @@ def render_gbuffer_file(
     lights: Sequence[Light] | None = None,
     reading: GBufferReading = USUAL,
     *,
-    exposure_ev: float | None = None,
+    display: Display = AS_IT_IS,
     tolerance: float = 0.0,
     memory: int | None = None,
     shown: Callable[[float], object] = lambda share: None,
@@ -131,13 +130,12 @@ def render_gbuffer_file(
         The exposure in stops: what was asked for, or 0.
     """
     scene = GBufferFile(path, reading, memory=memory)
-    stops = exposure_ev or 0.0
     lamps = lights or SHAPES["sphere"].lights
-    shaded = shade_file(model, scene, lamps, output, gain=2.0**stops, tolerance=tolerance)
+    shaded = shade_file(model, scene, lamps, output, display=display, tolerance=tolerance)
     with closing(shaded) as bands:
         for rows in bands:
             shown(rows / scene.size[0])
-    return stops
+    return display.linear_stops
 
 
 def save_picture(
@@ -145,21 +143,16 @@ def save_picture(
     path: str | os.PathLike[str],
     model: RadenBrdf,
     *,
-    exposure_ev: float | None = None,
+    display: Display = AS_IT_IS,
 ) -> float:
     """Write a scene-linear image `[1, 3, H, W]`; a simulated specimen is named in the picture.
 
-    An EXR keeps the scene-linear values as they are.
+    An EXR keeps the scene-linear values as they are, but for stops that are asked for.
 
     Returns:
-        The exposure in stops: what was asked for, or what was chosen where None.
+        The exposure in stops.
     """
-    if Path(path).suffix.lower() == ".exr":
-        write_image(image * 2.0 ** (exposure_ev or 0.0), path)
-        return exposure_ev or 0.0
-    stops = auto_exposure_ev(image) if exposure_ev is None else exposure_ev
-    write_picture(to_display(image, stops)[0], path, caption_of(model))
-    return stops
+    return display.write(image, path, caption_of(model))
 
 
 def caption_of(model: RadenBrdf) -> str | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
 from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 from cyclopts import Parameter, convert
 
@@ -115,6 +115,17 @@ def _stops(text: str) -> float | None:
         raise ValueError(f"expected a number of stops, or auto, got {text}") from None
 
 
+def _exposed(text: str) -> float | Literal["auto", "key"]:
+    if text == "auto":
+        return "auto"
+    if text == "key":
+        return "key"
+    try:
+        return float(text)
+    except ValueError:
+        raise ValueError(f"expected a number of stops, auto or key, got {text}") from None
+
+
 def _bytes(text: str) -> int:
     """`2G`, `512M`; a bare number is bytes."""
     units = {"": 0, "K": 1, "M": 2, "G": 3, "T": 4}
@@ -201,6 +212,7 @@ def _lamp_or_file(text: str) -> tuple[float, float, float] | Path:
 
 Triple = Annotated[tuple[float, float, float], _read(_triple, "X,Y,Z")]
 Stops = Annotated[float | None, _read(_stops, "STOPS", show_default=lambda stops: stops or "auto")]
+Exposed = Annotated[float | Literal["auto", "key"], _read(_exposed, "STOPS|auto|key")]
 Bytes = Annotated[int, _read(_bytes, "SIZE", show_default=lambda size: f"{size >> 30}G")]
 Limits = Annotated[tuple[float, float], _read(_limits, "FIRST:LAST")]
 Squares = Annotated[tuple[int, int], _read(_squares, "COLUMNSxROWS")]

@@ -19,7 +19,12 @@ from raden_torch.cli.option_types import (
     files,
     output,
 )
-from raden_torch.cli.picture_options import EnvironmentOptions, ExrOptions, GBufferOptions
+from raden_torch.cli.picture_options import (
+    DisplayOptions,
+    EnvironmentOptions,
+    ExrOptions,
+    GBufferOptions,
+)
 from raden_torch.cli.status import progress, without_other_inputs, working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output
@@ -67,18 +72,18 @@ def render(
         Parameter(help="x,y,z towards a lamp at infinity, or point:x,y,z; may be repeated"),
     ] = (),
     around: EnvironmentOptions = EnvironmentOptions(),
-    exposure: Annotated[Stops, Parameter(help="exposure in stops, or auto")] = None,
+    display: DisplayOptions = DisplayOptions(),
     shape: ShapeOptions = ShapeOptions(),
     gbuffer: Annotated[
         Path | None, Parameter(help="an EXR with normals or depth to light, instead of a shape")
     ] = None,
     exr: GBufferOptions = GBufferOptions(),
 ) -> None:
-    from raden_torch.brdf.files.display import PICTURE_SUFFIXES, check_picture_path
     from raden_torch.brdf.files.model_file import load_model
     from raden_torch.pictures import render_gbuffer, render_gbuffer_file, save_picture
 
-    check_picture_path(output, (*PICTURE_SUFFIXES, ".exr"))
+    shown_by = display.display
+    shown_by.check_path(output)
     check_output(output, inputs=(model, gbuffer, around.environment))
     lights = [*_lights(light), *around.lights()]
     if gbuffer is not None and output.suffix.lower() == ".exr":
@@ -89,7 +94,7 @@ def render(
                 output,
                 lights,
                 exr.reading,
-                exposure_ev=exposure,
+                display=shown_by,
                 tolerance=exr.tolerance,
                 memory=exr.memory,
                 shown=shown,
@@ -103,7 +108,7 @@ def render(
                 image = render_gbuffer(
                     loaded, gbuffer, lights, exr.reading, tolerance=exr.tolerance
                 )
-            used = save_picture(image, output, loaded, exposure_ev=exposure)
+            used = save_picture(image, output, loaded, display=shown_by)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
 
 

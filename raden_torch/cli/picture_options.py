@@ -4,17 +4,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from raden_torch.cli.option_types import Bytes, Pairs
+from raden_torch.cli.option_types import Bytes, Exposed, Pairs
 
 if TYPE_CHECKING:
+    from raden_torch.brdf.files.display import Display
     from raden_torch.brdf.files.gbuffer_reading import GBufferReading
     from raden_torch.brdf.shading.lights import Light
 
-_EXR_FILES = Group("EXR files", sort_key=2)
+_PICTURE = Group("The picture", sort_key=2)
+_EXR_FILES = Group("EXR files", sort_key=3)
+
+
+@Parameter(name="*", group=_PICTURE)
+@dataclass(frozen=True)
+class DisplayOptions:
+    """How scene-linear light becomes a picture: the fields of `Display`."""
+
+    exposure: Exposed = "auto"
+    """exposure in stops; auto brings the highlights, key the mean luminance to their place"""
+    tone: Literal["srgb", "neutral", "aces"] = "srgb"
+    """the curve: srgb has none; neutral (Khronos) and aces (Narkowicz) roll highlights off"""
+    gamut: Literal["hue", "clip"] = "hue"
+    """colours that the display cannot show keep their hue and lightness, or are cut by channel"""
+    colour_space: Literal["srgb", "display-p3", "acescg"] = "srgb"
+    """the file's primaries; acescg for an .exr, which is linear in all of them"""
+
+    @property
+    def display(self) -> Display:
+        """The same for the library."""
+        from raden_torch.brdf.files.display import Display
+
+        return Display(self.exposure, self.tone, self.gamut, self.colour_space)
 
 
 @Parameter(name="*", group=_EXR_FILES)

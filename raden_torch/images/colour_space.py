@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.colorimetry import SRGB, bradford, primary_matrix, xyz_of_white
+from raden_torch.colorimetry import DISPLAY_P3, SRGB, bradford, primary_matrix, xyz_of_white
 from raden_torch.errors import InputError
 from raden_torch.images.header import ColourTags
 from raden_torch.images.icc import ICC_WHITE, Curve, IccProfile, UnknownProfile, parse_icc, power
@@ -19,7 +19,7 @@ ADOBE_RGB = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290)
 _CICP_PRIMARIES = {
     1: SRGB,
     9: (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290),  # BT.2020
-    12: (0.680, 0.320, 0.265, 0.690, 0.150, 0.060, 0.3127, 0.3290),  # Display P3
+    12: DISPLAY_P3,
 }
 _SAME_MATRIX, _SAME_CURVE = 2e-3, 5e-4
 """A profile this near to sRGB is sRGB, rounded otherwise."""

@@ -67,19 +67,24 @@ def read_parts(path: str | os.PathLike[str]) -> Parts:
 
 
 def write_channels(
-    path: str | os.PathLike[str], channels: Mapping[str, ArrayLike], *, half: bool = False
+    path: str | os.PathLike[str],
+    channels: Mapping[str, ArrayLike],
+    *,
+    half: bool = False,
+    chromaticities: tuple[float, ...] | None = None,
 ) -> None:
     """Write a single-part file.
 
     Args:
         channels: `{name: [H, W]}`, all of one size.
         half: 16-bit floats (11 bits of precision; infinite beyond 65504) instead of 32-bit ones.
+        chromaticities: x, y of the primaries and of white, for the attribute of that name.
 
     Raises:
         InputError: arrays that are not `[H, W]` or differ in size, a name that OpenEXR cannot hold,
             a suffix other than .exr, a folder that does not exist.
     """
-    write_parts(path, {"": channels}, half=half)
+    write_parts(path, {"": channels}, half=half, chromaticities=chromaticities)
 
 
 def write_parts(
@@ -87,6 +92,7 @@ def write_parts(
     parts: Mapping[str, Mapping[str, ArrayLike]],
     *,
     half: bool = False,
+    chromaticities: tuple[float, ...] | None = None,
 ) -> None:
     """Write `{part: {channel: [H, W]}}`, each a part with its name; all of one size.
 
@@ -104,7 +110,9 @@ def write_parts(
     size = _one_size(path, arrays)
     target = check_output(path, (".exr",))
     with written_beside(target) as temporary, _written(temporary, path) as file:
-        specs = [_spec(path, part, channels, size) for part, channels in arrays.items()]
+        specs = [
+            _spec(path, part, channels, size, chromaticities) for part, channels in arrays.items()
+        ]
         file.open(specs)
         for number, (spec, channels) in enumerate(zip(specs, arrays.values(), strict=True)):
             if number:
@@ -116,7 +124,9 @@ def write_parts(
 
 @contextmanager
 def rows_written(
-    path: str | os.PathLike[str], size: tuple[int, int]
+    path: str | os.PathLike[str],
+    size: tuple[int, int],
+    chromaticities: tuple[float, ...] | None = None,
 ) -> Iterator[Callable[[Mapping[str, NDArray[np.float16]]], None]]:
     """Yield a function that adds rows to a file of this height and width, from the top down.
 
@@ -133,7 +143,7 @@ def rows_written(
         def add(channels: Mapping[str, NDArray[np.float16]]) -> None:
             nonlocal top
             if top == 0:
-                file.open([_spec(path, "", channels, size)])
+                file.open([_spec(path, "", channels, size, chromaticities)])
             rows = list(channels.values())
             file.add(top, rows)
             top += len(rows[0])
@@ -188,7 +198,11 @@ def _written(temporary: Path, meant: object) -> Iterator[_Output]:
 
 
 def _spec(
-    path: object, part: str, channels: Mapping[str, NDArray[Any]], size: tuple[int, int]
+    path: object,
+    part: str,
+    channels: Mapping[str, NDArray[Any]],
+    size: tuple[int, int],
+    chromaticities: tuple[float, ...] | None = None,
 ) -> Any:
     oiio = openimageio()
     for text in (part, *channels):
@@ -200,6 +214,8 @@ def _spec(
     spec.attribute("DateTime", "")  # or it writes the time, and no two files are the same
     if part:
         spec.attribute("oiio:subimagename", part)
+    if chromaticities is not None:
+        spec.attribute("chromaticities", oiio.TypeDesc("float[8]"), tuple(chromaticities))
     return spec
 
 

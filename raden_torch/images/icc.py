@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from raden_torch.arrays import Floats
+from raden_torch.colorimetry import bradford, primary_matrix, xyz_of_white
 
 Curve = Callable[[Floats], Floats]
 
@@ -56,6 +57,52 @@ def parse_icc(data: bytes) -> IccProfile:
         return IccProfile(tuple(_curve(tags[name]) for name in wanted[3:]), np.stack(columns, 1))
     except (struct.error, IndexError) as error:
         raise UnknownProfile("a damaged profile") from error
+
+
+def srgb_curved_profile(name: str, chromaticities: tuple[float, ...]) -> bytes:
+    """An ICC profile (version 4) of these primaries with sRGB's curve, as a parametricCurveType.
+
+    Args:
+        name: what viewers call it; ASCII.
+        chromaticities: x, y of red, green, blue and white.
+    """
+    adapted = bradford(xyz_of_white(chromaticities[6:]), np.array(ICC_WHITE))
+    columns = (adapted @ primary_matrix(chromaticities)).T
+    curve = b"para" + struct.pack(">IHH", 0, 3, 0)
+    curve += _fixed(2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045)
+    tags = {b"desc": _unicode(name), b"cprt": _unicode("no copyright"), b"wtpt": _xyz(*ICC_WHITE)}
+    tags[b"chad"] = b"sf32" + bytes(4) + _fixed(*adapted.ravel())
+    for letter, column in zip((b"r", b"g", b"b"), columns, strict=True):
+        tags[letter + b"XYZ"] = _xyz(*column)
+        tags[letter + b"TRC"] = curve
+    places: dict[bytes, int] = {}  # the three curves are stored once
+    body, start = b"", 128 + 4 + 12 * len(tags)
+    directory = struct.pack(">I", len(tags))
+    for tag, data in tags.items():
+        if data not in places:
+            places[data] = start + len(body)
+            body += data + bytes(-len(data) % 4)
+        directory += tag + struct.pack(">II", places[data], len(data))
+    size = start + len(body)
+    header = struct.pack(">I4sI4s4s4s", size, bytes(4), 0x04300000, b"mntr", b"RGB ", b"XYZ ")
+    header += struct.pack(">6H", 2026, 1, 1, 0, 0, 0) + b"acsp"
+    header = header.ljust(68, b"\0") + _fixed(*ICC_WHITE)
+    return header.ljust(128, b"\0") + directory + body
+
+
+def _fixed(*numbers: float) -> bytes:
+    """s15Fixed16."""
+    return struct.pack(f">{len(numbers)}i", *(round(number * 65536) for number in numbers))
+
+
+def _xyz(*xyz: float) -> bytes:
+    return b"XYZ " + bytes(4) + _fixed(*xyz)
+
+
+def _unicode(text: str) -> bytes:
+    """multiLocalizedUnicodeType (ICC.1:2022, 10.15)."""
+    coded = text.encode("utf-16-be")
+    return b"mluc" + struct.pack(">III4sII", 0, 1, 12, b"enUS", len(coded), 28) + coded
 
 
 def _numbers(tag: bytes, start: int, count: int) -> Floats:

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
 from raden_torch.images.header import Header, check_size, read_header
+from raden_torch.images.named_space import with_space
 from raden_torch.images.other_formats import other_format, read_other
 from raden_torch.packages import require
 
@@ -157,12 +158,17 @@ def _quiet() -> Iterator[None]:
 
 
 def write_pixels(
-    pixels: NDArray[Any], path: str | os.PathLike[str], alpha: NDArray[Any] | None = None
+    pixels: NDArray[Any],
+    path: str | os.PathLike[str],
+    alpha: NDArray[Any] | None = None,
+    *,
+    profile: str | None = None,
 ) -> None:
     """Write `[H, W, 3]` RGB or `[H, W]` grey pixels as they are, encoded by the path's suffix.
 
     Args:
         alpha: `[H, W]`, of the pixels' type; it does not multiply them.
+        profile: the name of the pixels' colour space, for a PNG or JPEG; None says nothing.
 
     Raises:
         InputError: OpenCV cannot encode them so, or the folder does not exist.
@@ -184,6 +190,8 @@ def write_pixels(
     encoded = data.tobytes()
     if alpha is not None and suffix in (".tif", ".tiff"):
         encoded = _with_straight_alpha(encoded)
+    if profile is not None:
+        encoded = with_space(encoded, profile)
     with written_beside(path) as temporary:
         temporary.write_bytes(encoded)
 

@@ -41,11 +41,20 @@ def read_colour(
     return torch.where(torch.isfinite(colour), colour, torch.zeros_like(colour))
 
 
-def write_image(image: Tensor, path: str | os.PathLike[str]) -> None:
-    """Write scene-linear `[1, 3, H, W]` RGB as an EXR of half floats, cut off at ±65504."""
+def write_image(
+    image: Tensor,
+    path: str | os.PathLike[str],
+    *,
+    chromaticities: tuple[float, ...] | None = None,
+) -> None:
+    """Write scene-linear `[1, 3, H, W]` RGB as an EXR of half floats, cut off at ±65504.
+
+    Args:
+        chromaticities: x, y of the primaries and of white; None: sRGB's, which go unsaid.
+    """
     if image.ndim != 4 or image.shape[:2] != (1, 3):
         raise InputError(f"{path}: image: expected shape [1, 3, H, W], got {list(image.shape)}")
-    write_channels(path, in_halves(image), half=True)
+    write_channels(path, in_halves(image), half=True, chromaticities=chromaticities)
 
 
 def in_halves(image: Tensor) -> dict[str, NDArray[np.float16]]:

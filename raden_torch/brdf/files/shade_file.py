@@ -7,6 +7,7 @@ from collections.abc import Generator, Sequence
 
 import torch
 
+from raden_torch.brdf.files.display import AS_IT_IS, Display
 from raden_torch.brdf.files.exr_tensors import in_halves
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, has_pixels
 from raden_torch.brdf.materials.surface import Reflection
@@ -21,7 +22,7 @@ def shade_file(
     lights: Sequence[Light] | Light,
     output: str | os.PathLike[str],
     *,
-    gain: float = 1.0,
+    display: Display = AS_IT_IS,
     tolerance: float = 0.0,
 ) -> Generator[int, None, None]:
     """Shade a file's bands one after the other; the image is the one that `shade` makes at once.
@@ -30,7 +31,7 @@ def shade_file(
         model, lights, tolerance: as for `shade`.
         scene: the G-buffer; its `bands` decide how much memory is taken.
         output: the scene-linear EXR to write, in half floats.
-        gain: a factor on the image.
+        display: whose stops and colour space the EXR has.
 
     Yields:
         The rows that are done. `output` appears after the last of them; where the loop is left
@@ -40,14 +41,14 @@ def shade_file(
         InputError: as for `read_gbuffer` and `shade`.
     """
     some = lit = False
-    with rows_written(output, scene.size) as write:
+    with rows_written(output, scene.size, display.chromaticities) as write:
         for top, bottom in scene.bands:
             gbuffer = scene.rows(top, bottom)
             some = some or has_pixels(gbuffer)
             with torch.no_grad():
                 image = shade(model, gbuffer, lights, tolerance=tolerance)
             lit = lit or bool((image != 0).any())
-            write(in_halves(image if gain == 1 else image * gain))
+            write(in_halves(display.linear(image)))
             del gbuffer, image  # before the next band is read
             yield bottom
         if not some:

@@ -13,6 +13,7 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.files import gbuffer_file
+from raden_torch.brdf.files.display import Display
 from raden_torch.brdf.files.exr_tensors import read_colour, write_image
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
 from raden_torch.brdf.files.gbuffer_reading import GBufferReading
@@ -109,7 +110,7 @@ def test_parts_and_a_gain(tmp_path, model) -> None:
     shares: list[float] = []
     stops = render_gbuffer_file(
         *(model, tmp_path / "in.exr", tmp_path / "out.exr", [SUN]),
-        exposure_ev=2.0,
+        display=Display(2.0),
         memory=memory_for(80, 6),
         shown=shares.append,
     )
