@@ -6,7 +6,7 @@ where it is not, nothing is computed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import TypeVar
 
@@ -49,18 +49,30 @@ def shade_palette(
     chosen = material.expand(b, -1, h, w).reshape(b, -1, h * w)
     covered = None if gbuffer.mask is None else gbuffer.mask.expand(b, 1, h, w).reshape(b, -1) > 0
     for k in range(b):
-        own = [_of_image(light, k, b) for light in lights]
         inside = None if covered is None else covered[k]
-        for place, pixels, weight in _parts(chosen[k], inside, len(palette)):
-            part = shade(palette[place], _gathered(gbuffer, k, pixels), own)[0, :, 0].to(dtype)
-            image[k].index_add_(1, pixels, part if weight is None else part * weight)
+        order, sizes, weights = _order(chosen[k], inside, len(palette))
+        if not len(order):
+            continue
+        own = [_of_image(light, k, b) for light in lights]
+        rows = _gathered(gbuffer, k, order)
+        parts, start = [], 0
+        for place, size in enumerate(sizes):
+            if size:
+                part = shade(palette[place], _cut(rows, start, size), own)
+                parts.append(part[0, :, 0].to(dtype))
+            start += size
+        values = torch.cat(parts, 1)
+        if weights is None:
+            image[k][:, order] = values
+        else:
+            image[k].index_add_(1, order, values * weights)
     return image.reshape(b, 3, h, w)
 
 
-def _parts(
+def _order(
     chosen: Tensor, inside: Tensor | None, count: int
-) -> Iterator[tuple[int, Tensor, Tensor | None]]:
-    """Each material that an image has, its pixels, and their weights.
+) -> tuple[Tensor, list[int], Tensor | None]:
+    """The pixels of the first material, of the second, …; how many each has; their weights.
 
     Args:
         chosen: `[1, P]` indices or `[K, P]` weights.
@@ -68,25 +80,15 @@ def _parts(
         count: of materials.
     """
     if chosen.is_floating_point():
-        for place, weight in enumerate(chosen):
-            # with a gradient, a weight of 0 may grow
-            wanted = (
-                torch.ones_like(weight, dtype=torch.bool) if chosen.requires_grad else weight > 0
-            )
-            pixels = (wanted if inside is None else wanted & inside).nonzero()[:, 0]
-            if len(pixels):
-                yield place, pixels, weight[pixels]
-        return
+        # with a gradient, a weight of 0 may grow
+        wanted = (chosen > 0) | chosen.requires_grad
+        place, order = (wanted if inside is None else wanted & inside).nonzero(as_tuple=True)
+        sizes = torch.bincount(place, minlength=count).tolist()
+        return order, sizes, chosen[place, order]
     index = chosen[0]
     shown = None if inside is None else inside.nonzero()[:, 0]
-    index = index if shown is None else index[shown]
-    if not len(index):
-        return
-    order, sizes = _sorted(index, count)
-    order = order if shown is None else shown[order]
-    for place, pixels in enumerate(order.split(sizes)):
-        if len(pixels):
-            yield place, pixels, None
+    order, sizes = _sorted(index if shown is None else index[shown], count)
+    return order if shown is None else shown[order], sizes, None
 
 
 def _sorted(index: Tensor, count: int) -> tuple[Tensor, list[int]]:
@@ -99,22 +101,35 @@ def _sorted(index: Tensor, count: int) -> tuple[Tensor, list[int]]:
     return order, np.bincount(small, minlength=count).tolist()
 
 
-def _gathered(gbuffer: GBuffer, image: int, pixels: Tensor) -> GBuffer:
-    """Pixels of one image as a G-buffer of one row."""
-    b, _, h, w = gbuffer.normal.shape
+def _gathered(gbuffer: GBuffer, image: int, pixels: Tensor) -> dict[str, Tensor]:
+    """Maps of one image at some pixels, `[1, C, 1, P]`, or `[1, C, 1, 1]` where one is for all."""
+    _, _, h, w = gbuffer.normal.shape
 
     def row(name: str, value: Tensor) -> Tensor:
         own = value[image if len(value) > 1 else 0]
         if own.shape[-2:] == (1, 1) and name != "normal":
-            return own[None]  # one for all pixels
-        return own.expand(-1, h, w).reshape(len(own), h * w).index_select(1, pixels)[None, :, None]
+            return own[None]
+        return own.expand(-1, h, w).reshape(len(own), h * w)[:, pixels][None, :, None]
 
+    found = {name: getattr(gbuffer, name) for name in _MAPS}
+    rows = {name: row(name, value) for name, value in found.items() if isinstance(value, Tensor)}
+    if gbuffer.camera is not None:
+        camera = _triple_of(gbuffer.camera, image, len(gbuffer.normal))
+        rows["camera"] = camera  # type: ignore[assignment]
+    return rows
+
+
+def _cut(rows: dict[str, Tensor], start: int, size: int) -> GBuffer:
+    """Some of the gathered pixels as a G-buffer of one row."""
     maps = {
-        name: row(name, value)
-        for name in _MAPS
-        if isinstance(value := getattr(gbuffer, name), Tensor)
+        name: value[..., start : start + size] if name == "normal" or _is_row(value) else value
+        for name, value in rows.items()
     }
-    return GBuffer(**maps, camera=_triple_of(gbuffer.camera, image, b))  # type: ignore[arg-type]
+    return GBuffer(**maps)
+
+
+def _is_row(value: object) -> bool:
+    return isinstance(value, Tensor) and value.ndim == 4 and value.shape[-1] > 1
 
 
 def _of_image(light: _L, image: int, batch: int) -> _L:
