@@ -101,10 +101,20 @@ def shade(
     return cast(Tensor, image)
 
 
-def _lit(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light], tolerance: float) -> Tensor:
-    """The image under lights that every pixel sees."""
+def _lit(
+    model: Reflection,
+    gbuffer: GBuffer,
+    lights: Sequence[Light],
+    tolerance: float,
+    kept: dict[tuple[int, int], Tensor] | None = None,
+) -> Tensor:
+    """The image under lights that every pixel sees.
+
+    Args:
+        kept: where the materials of a palette keep what `packed` makes of their lights.
+    """
     if isinstance(model, Palette):
-        return shade_palette(model, gbuffer, lights, partial(_lit, tolerance=tolerance))
+        return shade_palette(model, gbuffer, lights, partial(_lit, tolerance=tolerance, kept={}))
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
     around: list[EnvironmentLight] = []
@@ -118,7 +128,8 @@ def _lit(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light], tolerance
     if lamps or not around:
         one_table = _in_one_table(model)
         if one_table is not None:
-            image = _by_kernel(one_table, gbuffer, lamps, tolerance)
+            own = None if kept is None else (kept, (id(lights), len(lamps)))
+            image = _by_kernel(one_table, gbuffer, lamps, tolerance, own)
         if image is None:
             image = _eagerly(model, gbuffer, lamps)
     if around:
@@ -263,9 +274,17 @@ def _at(light: Light) -> str:
 
 
 def _by_kernel(
-    model: RadenBrdf, gbuffer: GBuffer, lights: list[Light], tolerance: float
+    model: RadenBrdf,
+    gbuffer: GBuffer,
+    lights: list[Light],
+    tolerance: float,
+    kept: tuple[dict[tuple[int, int], Tensor], tuple[int, int]] | None = None,
 ) -> Tensor | None:
-    """The fused kernel's image, or None where the eager form has to do it."""
+    """The fused kernel's image, or None where the eager form has to do it.
+
+    Args:
+        kept: where packed lights are kept, and by what key.
+    """
     wants_gradient = torch.is_grad_enabled() and any(
         isinstance(light, EnvironmentLight) and light.radiance.requires_grad for light in lights
     )
@@ -282,7 +301,13 @@ def _by_kernel(
     # one half for the lights that are left out, one for the lit sphere
     trades = tolerance > 0 and normal.device.type == "cpu"
     may_be_lost = tolerance / 2 / model.upper_bound() if trades else 0.0
-    lamps = packed(known, position, normal, may_be_lost)
+    if kept is None or trades:
+        lamps = packed(known, position, normal, may_be_lost)
+    else:
+        found, key = kept
+        if key not in found:
+            found[key] = packed(known, position, normal)
+        lamps = found[key]
     inputs = (normal, view, position, camera, floating, lamps)
     if not kernel.takes(model, *inputs) or kernel.asks_for_gradient(model, *inputs):
         return None
