@@ -164,7 +164,7 @@ REFUSED = [
     (("scan", "--tilt", "a:70"), "--tilt: expected a number, got a"),
     (("scan", "--fault", "busy"), "--fault: expected name=value"),
     (("render", "m", "--memory", "much"), "--memory: expected a size as 2G or 512M, got much"),
-    (("render", "m", "--exposure", "dim"), "--exposure: expected a number of stops, or auto, got"),
+    (("render", "m", "--exposure", "dim"), "--exposure: expected a number of stops, auto or key, got"),
     ((*RELIGHT, "--original-light", "1,2"), "--original-light: expected three numbers as 1,1,2"),
     (("bench", "--compiled=maybe"), "--compiled: expected true or false, got maybe"),
     # another choice

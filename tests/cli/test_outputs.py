@@ -86,8 +86,8 @@ def test_an_input_is_never_overwritten(refused: Callable[..., str], words: tuple
         (("fit", "shell.csv", "-o", "model.csv"), ".safetensors"),
         (("fit", "shell.csv", "-o", "shell.csv"), ".safetensors"),
         (("merge", "shell.csv", "-o", "x.png"), ".csv"),
-        (("export", "m.safetensors", "-o", "shell.glsl"), ".onnx"),
-        (("export", "m.safetensors", "-o", "page.html"), ".onnx"),
+        (("export", "m.safetensors", "-o", "shell.hlsl"), ".onnx"),
+        (("export", "m.safetensors", "-o", "page.htm"), ".onnx"),
         (("scan", "--simulate", "-o", "x.json"), ".csv"),
     ],
 )
