@@ -164,7 +164,10 @@ REFUSED = [
     (("scan", "--tilt", "a:70"), "--tilt: expected a number, got a"),
     (("scan", "--fault", "busy"), "--fault: expected name=value"),
     (("render", "m", "--memory", "much"), "--memory: expected a size as 2G or 512M, got much"),
-    (("render", "m", "--exposure", "dim"), "--exposure: expected a number of stops, auto or key, got"),
+    (
+        ("render", "m", "--exposure", "dim"),
+        "--exposure: expected a number of stops, auto or key, got",
+    ),
     ((*RELIGHT, "--original-light", "1,2"), "--original-light: expected three numbers as 1,1,2"),
     (("bench", "--compiled=maybe"), "--compiled: expected true or false, got maybe"),
     # another choice
@@ -202,8 +205,8 @@ def test_values_stand_for_themselves() -> None:
     exr = parsed("render", "m", *words)["exr"]
     assert (exr.xyz, exr.memory, exr.fov_deg) == ("-r,g,b", 3 << 29, -3.0)
     assert exr.reading.channels == {"normal": "N"}
-    assert parsed("render", "m", "--exposure", "auto")["exposure"] is None
-    assert parsed("render", "m", "--exposure", "-1.5")["exposure"] == -1.5
+    assert parsed("render", "m", "--exposure", "auto")["display"].exposure == "auto"
+    assert parsed("render", "m", "--exposure", "-1.5")["display"].exposure == -1.5
     assert parsed("demo", "--size", "64", "--size", "32") == {"size": 32}  # the last one counts
     assert parsed("fit", "-o", "m", "--", "-odd.csv")["measurement"] == Path("-odd.csv")
     plan = parsed("scan", "--plan", "random", "--tilt", "-70:7.5", "--step", "2")["plan"]

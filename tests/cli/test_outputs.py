@@ -80,14 +80,17 @@ def test_an_input_is_never_overwritten(refused: Callable[..., str], words: tuple
     assert "is also an input" in refused(*words)
 
 
+_SHADERS = ".onnx or .glsl or .wgsl or .html"
+
+
 @pytest.mark.parametrize(
     ("words", "wanted"),
     [
         (("fit", "shell.csv", "-o", "model.csv"), ".safetensors"),
         (("fit", "shell.csv", "-o", "shell.csv"), ".safetensors"),
         (("merge", "shell.csv", "-o", "x.png"), ".csv"),
-        (("export", "m.safetensors", "-o", "shell.hlsl"), ".onnx"),
-        (("export", "m.safetensors", "-o", "page.htm"), ".onnx"),
+        (("export", "m.safetensors", "-o", "shell.hlsl"), _SHADERS),
+        (("export", "m.safetensors", "-o", "page.htm"), _SHADERS),
         (("scan", "--simulate", "-o", "x.json"), ".csv"),
     ],
 )
