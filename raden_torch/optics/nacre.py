@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from raden_torch.arrays import Floats
-from raden_torch.optics.films import POLARISATIONS, Complexes, Films, Medium, isotropic, reflectance
+from raden_torch.arrays import Complexes, Floats
+from raden_torch.optics.films import POLARISATIONS, Films, Medium, isotropic, reflectance
 
 SODIUM_D_NM = 589.3
 ARAGONITE_N_O = 1.6834
