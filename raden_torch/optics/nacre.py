@@ -74,6 +74,12 @@ def aragonite(wavelength_nm: ArrayLike, loss: float = 0.0) -> Medium:
     return Medium(rescaled(ARAGONITE_N_O, _CALCITE_O), rescaled(ARAGONITE_N_E, _CALCITE_E))
 
 
+def wavelength_across(wavelength_nm: ArrayLike, q_squared: ArrayLike) -> Floats:
+    """λ / (n_o cos θ) = λ / √(n_o² - q²) in aragonite: the wave's length along the film normal."""
+    n_o = np.real(aragonite(wavelength_nm).n_o)
+    return np.asarray(np.asarray(wavelength_nm) / np.sqrt(n_o**2 - np.asarray(q_squared)))
+
+
 def random_thicknesses(stack: Stack, stacks: int, rng: np.random.Generator) -> Floats:
     """`[J, stacks]` film thicknesses in nm: tablet, sheet, tablet, …, tablet.
 

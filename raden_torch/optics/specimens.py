@@ -121,7 +121,7 @@ def simulate_specimen(
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed: expected a whole number of at least 0, got {seed!r}")
     angles = _grid(step_deg) if geometries_deg is None else _scattered(geometries_deg)
-    bands_to_values = np.eye(len(BANDS_NM)) if spectral else _bands_to_xyz()
+    bands_to_values = np.eye(len(BANDS_NM)) if spectral else bands_to_xyz()
     values = np.empty((len(angles), bands_to_values.shape[1]))
     for start in range(0, len(angles), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
@@ -156,7 +156,7 @@ def directions(angles: Floats) -> tuple[Floats, Floats]:
 
 
 @cache
-def _bands_to_xyz() -> Floats:
+def bands_to_xyz() -> Floats:
     """`[bands, 3]`: the XYZ of one unit in each band, a table: no colour-science is needed."""
     table = Path(__file__).with_name("bands_to_xyz.csv")
     return np.loadtxt(table, delimiter=",", skiprows=3)[:, 1:]
