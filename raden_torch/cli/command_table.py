@@ -91,6 +91,11 @@ _COMMANDS = (
         "raden info scan.csv photographs.csv",
     ),
     (
+        "analyse_command:analyse",
+        "Estimate the thickness of nacre's tablets and its spread from how the colour changes.",
+        "raden analyse shell.csv --json",
+    ),
+    (
         "file_commands:merge",
         "Make one measurement of several, each reading weighed by its uncertainty.",
         "raden merge scan.csv photographs.csv -o shell.csv",

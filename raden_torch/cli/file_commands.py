@@ -56,7 +56,7 @@ def _measurement(path: Path) -> BrdfMeasurement:
     """The measurement in a file; another kind of file is named in the error."""
     from raden_torch.measurement import BrdfMeasurement
 
-    loaded = _load(path)
+    loaded = load_either(path)
     if isinstance(loaded, BrdfMeasurement):
         return loaded
     raise InputError(f"{path}: expected a measurement, got a model")
@@ -72,7 +72,7 @@ def _scored(model: Path, readings: Path) -> str:
     from raden_torch.brdf.fitting.score import score
     from raden_torch.measurement import BrdfMeasurement
 
-    loaded = _load(model)
+    loaded = load_either(model)
     if isinstance(loaded, BrdfMeasurement):
         raise InputError(f"--against: expected a model to score, got a measurement ({model})")
     return str(score(loaded, _measurement(readings)))
@@ -132,7 +132,7 @@ def plot(
         return
     with working(f"drawing {file.name}"):
         sheet = draw(
-            _load(file),
+            load_either(file),
             what.figure or FIGURES,
             incidence_deg=what.incidence_deg,
             tilt_deg=what.tilt_deg,
@@ -142,7 +142,7 @@ def plot(
     print(f"wrote {output}")
 
 
-def _load(path: Path) -> BrdfMeasurement | RadenBrdf:
+def load_either(path: Path) -> BrdfMeasurement | RadenBrdf:
     """A model or a measurement, whichever the file is."""
     from raden_torch.info import kind_of
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from raden_torch.arrays import Floats
-from raden_torch.optics.films import POLARISATIONS, Complexes, Films, Medium, isotropic, reflectance
+from raden_torch.arrays import Complexes, Floats
+from raden_torch.optics.films import POLARISATIONS, Films, Medium, isotropic, reflectance
 
 SODIUM_D_NM = 589.3
 ARAGONITE_N_O = 1.6834
@@ -72,6 +72,12 @@ def aragonite(wavelength_nm: ArrayLike, loss: float = 0.0) -> Medium:
         return np.asarray(n_at_sodium * shape / at_sodium + 1j * loss)
 
     return Medium(rescaled(ARAGONITE_N_O, _CALCITE_O), rescaled(ARAGONITE_N_E, _CALCITE_E))
+
+
+def wavelength_across(wavelength_nm: ArrayLike, q_squared: ArrayLike) -> Floats:
+    """λ / (n_o cos θ) = λ / √(n_o² - q²) in aragonite: the wave's length along the film normal."""
+    n_o = np.real(aragonite(wavelength_nm).n_o)
+    return np.asarray(np.asarray(wavelength_nm) / np.sqrt(n_o**2 - np.asarray(q_squared)))
 
 
 def random_thicknesses(stack: Stack, stacks: int, rng: np.random.Generator) -> Floats:

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.ndimage import map_coordinates
 
 from raden_torch.arrays import Floats
 from raden_torch.optics import lacquered
 from raden_torch.optics.lacquered import Facets
-from raden_torch.optics.nacre import ARAGONITE_N_O, Stack, aragonite, mean_reflectance
+from raden_torch.optics.nacre import ARAGONITE_N_O, Stack, mean_reflectance, wavelength_across
 
 BANDS_NM = np.arange(380.0, 781.0, 5.0)
 
@@ -131,9 +130,3 @@ def _table(shell: Specimen) -> tuple[Floats, float, float]:
             seed=_STACK_SEED,
         )[0]
     return table, first, step
-
-
-def wavelength_across(wavelength_nm: ArrayLike, q_squared: ArrayLike) -> Floats:
-    """λ / (n_o cos θ) = λ / √(n_o² - q²) in aragonite: the wave's length along the film normal."""
-    n_o = np.real(aragonite(wavelength_nm).n_o)
-    return np.asarray(np.asarray(wavelength_nm) / np.sqrt(n_o**2 - np.asarray(q_squared)))
