@@ -16,6 +16,7 @@ from torch import Tensor
 
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
 
 _MAPS = ("normal", "view", "position", "mask", "layer_normal", "tangent")
@@ -48,17 +49,18 @@ def shade_palette(
     image = gbuffer.normal.new_zeros((b, 3, h * w), dtype=dtype)
     chosen = material.expand(b, -1, h, w).reshape(b, -1, h * w)
     covered = None if gbuffer.mask is None else gbuffer.mask.expand(b, 1, h, w).reshape(b, -1) > 0
+    # all alive at once: `shade` may know a light by its id
+    lights_of = [[_of_image(light, k, b) for light in lights] for k in range(b)]
     for k in range(b):
         inside = None if covered is None else covered[k]
         order, sizes, weights = _order(chosen[k], inside, len(palette))
         if not len(order):
             continue
-        own = [_of_image(light, k, b) for light in lights]
         rows = _gathered(gbuffer, k, order)
         parts, start = [], 0
         for place, size in enumerate(sizes):
             if size:
-                part = shade(palette[place], _cut(rows, start, size), own)
+                part = shade(palette[place], _cut(rows, start, size), lights_of[k])
                 parts.append(part[0, :, 0].to(dtype))
             start += size
         values = torch.cat(parts, 1)
@@ -134,6 +136,8 @@ def _is_row(value: object) -> bool:
 
 def _of_image(light: _L, image: int, batch: int) -> _L:
     """A light for one image of a batch."""
+    if isinstance(light, (DistantLamps, EnvironmentLight)):  # the same for every image
+        return light
     values = {f.name: _triple_of(getattr(light, f.name), image, batch) for f in fields(light)}  # type: ignore[arg-type]
     return replace(light, **values)  # type: ignore[type-var]
 

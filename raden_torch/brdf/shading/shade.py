@@ -106,7 +106,7 @@ def _lit(
     gbuffer: GBuffer,
     lights: Sequence[Light],
     tolerance: float,
-    kept: dict[tuple[int, int], Tensor] | None = None,
+    kept: dict[tuple[int, ...], Tensor] | None = None,
 ) -> Tensor:
     """The image under lights that every pixel sees.
 
@@ -128,7 +128,7 @@ def _lit(
     if lamps or not around:
         one_table = _in_one_table(model)
         if one_table is not None:
-            own = None if kept is None else (kept, (id(lights), len(lamps)))
+            own = None if kept is None else (kept, tuple(id(light) for light in lamps))
             image = _by_kernel(one_table, gbuffer, lamps, tolerance, own)
         if image is None:
             image = _eagerly(model, gbuffer, lamps)
@@ -278,7 +278,7 @@ def _by_kernel(
     gbuffer: GBuffer,
     lights: list[Light],
     tolerance: float,
-    kept: tuple[dict[tuple[int, int], Tensor], tuple[int, int]] | None = None,
+    kept: tuple[dict[tuple[int, ...], Tensor], tuple[int, ...]] | None = None,
 ) -> Tensor | None:
     """The fused kernel's image, or None where the eager form has to do it.
 

@@ -7,6 +7,7 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.shading.environment import DistantLamps
 from raden_torch.errors import InputError
 
 
@@ -74,6 +75,24 @@ def test_weights_mix_radiance_and_have_gradients(shells):
     # a weight of 0 has its gradient, too
     torch.testing.assert_close(asked.grad, alone.sum(2).movedim(0, 1))
     assert shells[0].table.values.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize("batch", [1, 3, 6])
+def test_each_image_of_a_batch_has_its_own_lamps(shells, batch):
+    draw = torch.Generator().manual_seed(batch)
+    normal = 0.3 * torch.randn(batch, 3, 8, 8, generator=draw)
+    normal[:, 2] += 1
+    index = torch.randint(0, 2, (batch, 1, 8, 8), generator=draw)
+    towards = 0.5 * torch.randn(batch, 3, generator=draw)
+    towards[:, 2] = 1
+    colours = torch.rand(batch, 3, generator=draw)
+    with torch.no_grad():
+        # one lamp for each image; and as many lamps as images, all for every image
+        for light in (rt.DirectionalLight(towards), DistantLamps(towards, colours)):
+            gbuffer = rt.GBuffer(normal, (0, 0, 1), material=index)
+            image = rt.shade(Palette(shells[:2]), gbuffer, light)
+            alone = [rt.shade(s, rt.GBuffer(normal, (0, 0, 1)), light) for s in shells[:2]]
+            torch.testing.assert_close(image, torch.where(index == 0, *alone))
 
 
 def test_masked_pixels_may_hold_any_index(shells):
