@@ -21,7 +21,18 @@ LARGEST_BYTES = 3_000_000
 """Of a page; two shells of the default size fit."""
 
 _PARTS = Path(__file__).parent / "viewer"
-_SCRIPTS = ("meshes.js", "table.js", "drawing.js", "viewer.js")
+_SCRIPTS = (
+    "meshes.js",
+    "table.js",
+    "surroundings.js",
+    "radiance_file.js",
+    "cameras.js",
+    "shading.js",
+    "drawing.js",
+    "point.js",
+    "headset.js",
+    "viewer.js",
+)
 _DIFFUSE_NODES = (16, 29, 41)
 
 
@@ -67,7 +78,8 @@ def export_viewer(
 
 
 def _page(shells: list[RadenBrdf]) -> str:
-    described, functions = [], ["precision highp float;", "precision highp int;"]
+    described: list[dict[str, Any]] = []
+    functions: list[str] = []
     for place, shell in enumerate(shells):
         source = shell.provenance
         parts = {"all": form_of(shell, "runtime"), "diffuse": form_of(_diffuse(shell), "runtime")}

@@ -1,62 +1,95 @@
-// Opens an exported viewer from disk in headless Chromium, does what the tests ask, and prints what
-// is there as JSON. Arguments: node_modules, Chromium, a folder for the picture, the visit as JSON:
-// {page, width, height, before, steps: [[action, ...words]]}.
+// Opens exported pages in one headless Chromium and does what the tests ask. Arguments: node_modules,
+// Chromium. A visit a line on stdin as JSON: {page, width, height, scale, before, frame, steps:
+// [[action, ...words]], picture}; what is there at first and after each step as a line on stdout.
 import fs from "node:fs";
 import os from "node:os";
 import path from "node:path";
+import readline from "node:readline";
 import { createRequire } from "node:module";
 import { pathToFileURL } from "node:url";
 
-const [modules, chromium, folder, visit] = process.argv.slice(2);
-const { page: file, width, height, before = "", steps = [] } = JSON.parse(visit);
+const [modules, chromium] = process.argv.slice(2);
 const { chromium: browser } = createRequire(path.join(path.resolve(modules), "x.js"))("playwright-core");
 const profile = fs.mkdtempSync(path.join(os.tmpdir(), "raden-browser-"));
 const context = await browser.launchPersistentContext(profile, {
-  executablePath: chromium, headless: true, viewport: { width, height },
+  executablePath: chromium, headless: true, viewport: { width: 640, height: 900 },
   args: [
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
     "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
   ],
 });
-const found = { errors: [], requests: [], seen: [] };
-try {
-  const page = await context.newPage();
-  page.on("pageerror", (error) => found.errors.push(error.message));
-  page.on("request", (request) => found.requests.push(request.url().slice(0, 60)));
-  if (before) await page.addInitScript(before);
-  await page.goto(pathToFileURL(file).href);
-  await page.waitForSelector("body[data-ready=true]", { timeout: 120_000 });
-  const look = async () => {
-    await page.waitForTimeout(150);
-    await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))));
-    found.seen.push(await page.evaluate(() => {
-      const text = (id) => document.getElementById(id).textContent;
-      const { width, height } = document.getElementById("picture");
-      return { width, height, picture: document.getElementById("picture").toDataURL(),
-        slice: document.getElementById("slice").toDataURL(),
-        wide: document.documentElement.scrollWidth, state: text("state"), label: text("label"), stops: text("stops"),
-        angles: ["incidence", "receiving", "tilt", "value"].map(text) };
-    }));
-  };
-  await look();
-  for (const [action, ...words] of steps) {
-    if (action === "check") await page.check(`input[name=${words[0]}][value="${words[1]}"]`);
-    if (action === "key") { await page.focus("#picture"); await page.keyboard.press(words[0]); }
-    if (action === "file") await page.setInputFiles("#mesh", words[0]);
-    if (action === "run") await page.evaluate(words[0]);
-    if (action === "drag") {
-      const box = await page.locator("#picture").boundingBox();
-      const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
-      await page.mouse.move(x, y);
-      await page.mouse.down();
-      await page.mouse.move(x + words[0], y + words[1], { steps: 3 });
-      await page.mouse.up();
-    }
-    await look();
+
+// frozen, so that a busy machine does not choose fewer lamps; few texels, since SwiftShader is slow
+const still = (scale) => {
+  performance.now = () => 0;
+  Object.defineProperty(window, "devicePixelRatio", { get: () => scale });
+};
+
+function seen() {
+  const text = (id) => document.getElementById(id).textContent, value = (id) => Number(document.getElementById(id).value);
+  const picture = document.getElementById("picture"), { width, height } = picture;
+  return {
+    width, height, picture: picture.toDataURL(), wide: document.documentElement.scrollWidth, state: text("state"),
+    label: text("label"), stops: text("stops"), exposure: value("exposure"), rotation: value("rotation"), aria: picture.ariaLabel,
+    headset: !document.getElementById("headset").hidden, lamps: Number(document.body.dataset.lamps),
+    angles: ["incidence", "receiving", "tilt", "value"].map(text) };
+}
+
+async function act(page, action, words) {
+  if (action === "check") await page.check(`input[name=${words[0]}][value="${words[1]}"]`);
+  if (action === "toggle") await page.click(words[0]);
+  if (action === "key") { await page.focus("#picture"); await page.keyboard.press(words[0]); }
+  if (action === "file") await page.setInputFiles("#file", words[0]);
+  if (action === "run") return page.evaluate(words[0]);
+  if (action === "axe") {
+    await page.addScriptTag({ path: path.join(modules, "axe-core/axe.min.js") });
+    const { violations } = await page.evaluate(() => window.axe.run());
+    return violations.flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html.slice(0, 80)}`));
   }
-  await page.screenshot({ path: path.join(folder, "viewer.png"), fullPage: true });
+  if (action === "drag") {
+    const box = await page.locator("#picture").boundingBox();
+    const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.mouse.move(x + words[0], y + words[1], { steps: 3 });
+    await page.mouse.up();
+  }
+}
+
+async function visited({ page: file, width, height, scale = 1, before = "", frame = false, steps = [], picture }) {
+  const found = { errors: [], requests: [], seen: [], replies: [] }, page = await context.newPage();
+  try {
+    await page.setViewportSize({ width, height });
+    page.on("pageerror", (error) => found.errors.push(error.message));
+    page.on("request", (request) => found.requests.push(request.url().slice(0, 60)));
+    await page.addInitScript(still, scale);
+    if (before) await page.addInitScript(before);
+    await page.goto(pathToFileURL(file).href);
+    const at = frame ? await (await page.waitForSelector("iframe")).contentFrame() : page;
+    await at.waitForSelector("body[data-ready=true]", { timeout: 120_000 });
+    const look = async () => {
+      // what was asked for is drawn in the next frame
+      await at.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 30)))));
+      await at.waitForFunction(() => (document.body.dataset.resting ?? "true") === "true", { timeout: 120_000 });
+      found.seen.push(await at.evaluate(seen));
+    };
+    await look();
+    for (const [action, ...words] of steps) {
+      found.replies.push(await act(at, action, words) ?? null);
+      await look();
+    }
+    if (picture) await page.screenshot({ path: picture, fullPage: true });
+  } catch (error) {
+    found.errors.push(error.message);
+  }
+  await page.close();
+  return found;
+}
+
+try {
+  for await (const line of readline.createInterface({ input: process.stdin }))
+    process.stdout.write(JSON.stringify(await visited(JSON.parse(line))) + "\n");
 } finally {
   await context.close();
   fs.rmSync(profile, { recursive: true, force: true });
 }
-fs.writeFileSync(path.join(folder, "viewer.json"), JSON.stringify(found));

@@ -27,20 +27,20 @@ const plate = () => ({
   indices: [0, 1, 2, 0, 2, 3],
 });
 
-class MeshError extends Error {}
+class FileError extends Error {}
 
 async function readMesh(file) {
   const name = file.name.toLowerCase();
-  if (file.size > 100e6) throw new MeshError(`${file.name}: expected at most 100 MB, got ${(file.size / 1e6).toFixed(0)} MB`);
+  if (file.size > 100e6) throw new FileError(`${file.name}: expected at most 100 MB, got ${(file.size / 1e6).toFixed(0)} MB`);
   let mesh;
   if (name.endsWith(".obj")) mesh = fromObj(await file.text());
   else if (name.endsWith(".glb")) mesh = fromGlb(await file.arrayBuffer());
   else if (name.endsWith(".gltf")) mesh = fromGltf(JSON.parse(await file.text()));
-  else throw new MeshError(`${file.name}: expected a mesh as .obj, .glb or .gltf`);
+  else throw new FileError(`${file.name}: expected a mesh (.obj, .glb, .gltf) or surroundings (.hdr)`);
   const points = mesh.positions.length / 3;
-  if (!mesh.indices.length) throw new MeshError(`${file.name}: expected triangles, got none`);
+  if (!mesh.indices.length) throw new FileError(`${file.name}: expected triangles, got none`);
   if (mesh.indices.some((i) => !(i >= 0 && i < points)) || mesh.positions.some((x) => !Number.isFinite(x)))
-    throw new MeshError(`${file.name}: expected whole triangles of finite points, got a damaged mesh`);
+    throw new FileError(`${file.name}: expected whole triangles of finite points, got a damaged mesh`);
   if (mesh.normals.length !== mesh.positions.length) mesh.normals = smoothNormals(mesh);
   return centred(mesh);
 }
@@ -56,7 +56,7 @@ function fromObj(text) {
       if (seen.has(word)) return seen.get(word);
       const [p, , n] = word.split("/").map(Number);
       const point = v[p < 0 ? v.length + p : p - 1], normal = vn[n < 0 ? vn.length + n : n - 1];
-      if (!point) throw new MeshError(`face ${word}: expected a vertex of the file, got none`);
+      if (!point) throw new FileError(`face ${word}: expected a vertex of the file, got none`);
       seen.set(word, positions.length / 3);
       positions.push(...point);
       if (normal) normals.push(...normal);
@@ -70,7 +70,7 @@ function fromObj(text) {
 function fromGlb(buffer) {
   const view = new DataView(buffer);
   if (buffer.byteLength < 20 || view.getUint32(0, true) !== 0x46546c67)
-    throw new MeshError("expected a binary glTF, got another file");
+    throw new FileError("expected a binary glTF, got another file");
   const json = view.getUint32(12, true);
   const about = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 20, json)));
   return fromGltf(about, buffer.slice(28 + json));
@@ -82,7 +82,7 @@ function fromGltf(about, binary) {
   const buffers = (about.buffers ?? []).map(({ uri }) => {
     if (uri === undefined) return binary;
     const data = /^data:[^,]*;base64,(.*)$/s.exec(uri);
-    if (!data) throw new MeshError(`buffer ${uri}: expected to be inside the file; save it as .glb`);
+    if (!data) throw new FileError(`buffer ${uri}: expected to be inside the file; save it as .glb`);
     return Uint8Array.from(atob(data[1]), (c) => c.charCodeAt(0)).buffer;
   });
   const accessor = (index, size) => {

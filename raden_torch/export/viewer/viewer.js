@@ -1,142 +1,131 @@
 // The page: what is shown, what moves it, what is said of it.
-const EYE = [0, 0, 3.4];
+const EYE = [0, 0, 3.4], COARSE = 32, FINE = 256, REST_MS = 250, LONGEST_MS = 1500, MOVING_MS = 100;
 const find = (id) => document.getElementById(id);
 const canvas = find("picture");
 const say = (text) => { find("state").textContent = text; };
 const chosen = (name) => document.querySelector(`input[name=${name}]:checked`).value;
+const choose = (name, value) => { document.querySelector(`input[name=${name}][value=${value}]`).checked = true; };
 
 const shells = JSON.parse(find("shells").textContent).map((shell) => ({
   ...shell, all: new Table(shell.all), diffuse: new Table(shell.diffuse) }));
-find("name").textContent = shells.map((shell) => shell.sample).join(" | ");
+const names = shells.map((shell) => shell.sample).join(" | ");
+find("name").textContent = names;
 find("label").textContent = shells.some((shell) => shell.simulated)
   ? `Simulated: ${shells.filter((shell) => shell.simulated).map((shell) => shell.sample).join(", ")} is computed, not measured.` : "";
 find("split").hidden = shells.length < 2;
 
-const state = { turn: [0.3, 0], lamp: [0.45, 0.35], own: null };
-let drawing = null, asked = false, pointer = null;
+// `around` is the surroundings: a map, lamps that stand for it, and what lacquer mirrors of it
+const state = { turn: [0.3, 0], lamp: [0.45, 0.35], rotation: 0, zoom: 1, point: [0.5, 0.5], own: null, around: null, file: null };
+let drawing = null, asked = false, resting = true, rest = 0, lampMs = 0;
 
-// columns of the rotation about x, then y
-function turned([right, up]) {
-  const [c, s, d, t] = [Math.cos(right), Math.sin(right), Math.cos(up), Math.sin(up)];
-  return [[c, t * s, -d * s], [0, d, t], [s, -t * c, d * c]];
+function scene(aspect) {
+  const lamp = { direction: towards(state.lamp), irradiance: [Math.PI, Math.PI, Math.PI] };
+  const distant = state.around ? distantLamps(state.around) : [];
+  return {
+    shape: chosen("shape"), turn: turned(state.turn), eye: EYE, rotation: state.rotation,
+    camera: product(projection(halfSizes(aspect, state.zoom)), placed(EYE.map((x) => -x))),
+    lamps: find("lit").checked ? [lamp] : [],
+    distant: distant.map((one) => ({ ...one, direction: aboutY(one.direction, state.rotation) })),
+    part: Number(chosen("part")), exposure: Number(find("exposure").value), split: Number(find("split").value) / 100 };
 }
 
-const towards = ([right, up]) => [Math.sin(right) * Math.cos(up), Math.sin(up), Math.cos(right) * Math.cos(up)];
-
-// broad light as lamps: a window's panes to one side, or the cloth of a tent all around
-const BROAD = {
-  window: [...Array(24).keys()].map((i) => [-1.35 + 0.16 * (i % 4), 0.1 + 0.14 * Math.floor(i / 4)]),
-  tent: [...Array(32).keys()].map((i) => {
-    const height = (i + 0.5) / 32, around = i * 2.399963;
-    return [Math.atan2(Math.sqrt(1 - height * height) * Math.cos(around), height),
-      Math.asin(Math.sqrt(1 - height * height) * Math.sin(around))];
-  }),
-};
-
-function lamps() {
-  const kind = chosen("light");
-  if (kind === "lamp") return [{ direction: towards(state.lamp), irradiance: [Math.PI, Math.PI, Math.PI] }];
-  const power = (1.6 * Math.PI) / BROAD[kind].length;
-  return BROAD[kind].map((at) => ({
-    direction: towards([at[0] + state.lamp[0] - 0.45, at[1] + state.lamp[1] - 0.35]), irradiance: [power, power, power] }));
+// as many as this device draws soon: at rest, and few while something moves
+function distantLamps(around) {
+  const [soon, fewest, most] = resting ? [LONGEST_MS, COARSE, FINE] : [MOVING_MS, 8, COARSE];
+  const count = Math.max(fewest, Math.min(most, Math.floor(soon / lampMs)));
+  if (around.lamps?.length !== count) around.lamps = lampsOf(around.map, count);
+  return around.lamps;
 }
 
-const scene = () => ({
-  shape: chosen("shape"), turn: turned(state.turn), eye: EYE, lamps: lamps(), part: Number(chosen("part")),
-  exposure: Number(find("exposure").value), split: Number(find("split").value) / 100 });
+function reflectAround() {
+  if (state.around) drawing.mirror(state.around.mirrored ??= glossy(state.around.map, LACQUER_ALPHA));
+}
 
 function draw() {
   asked = false;
-  if (!drawing) return;
-  const side = Math.max(64, Math.round(canvas.clientWidth * Math.min(devicePixelRatio, 2)));
-  const height = Math.max(64, Math.round(canvas.clientHeight * Math.min(devicePixelRatio, 2)));
-  if (canvas.width !== side || canvas.height !== height) Object.assign(canvas, { width: side, height });
-  drawing.draw(scene());
-  describe();
+  if (!drawing || drawing.immersed) return;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((side) =>
+    Math.max(64, Math.round(side * Math.min(devicePixelRatio, 2))));
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  const now = scene(width / height), began = performance.now();
+  if (now.shape === "plate") reflectAround();
+  drawing.picture(now);
+  describe(now);
+  lampMs = (performance.now() - began) / (now.lamps.length + now.distant.length || 1);
+  const sides = [degrees(state.lamp[0]), degrees(state.lamp[1])];
+  const light = [find("lit").checked && `a lamp ${sides[0]} to the right and ${sides[1]} up`, state.around && `surroundings: ${chosen("around")}`];
+  canvas.setAttribute("aria-label", `${chosen("shape")} of ${names}; ${light.filter(Boolean).join("; ") || "no light"}`);
   document.body.dataset.drawn = Number(document.body.dataset.drawn ?? 0) + 1;
+  Object.assign(document.body.dataset, { resting, lamps: now.lamps.length + now.distant.length });
 }
 
+// few lamps stand for the surroundings while something moves
 function redraw() {
   if (!asked) requestAnimationFrame(draw);
   asked = true;
+  clearTimeout(rest);
+  if (!state.around) return;
+  resting = false;
+  rest = setTimeout(() => { resting = true; requestAnimationFrame(draw); }, REST_MS);
 }
 
-const degrees = (x) => `${((x * 180) / Math.PI).toFixed(1)}°`;
-
-// the angles at the pointer, or at the middle, and the slice of the table there
-function describe() {
-  const [across, down] = pointer ?? [0.5, 0.5];
-  const x = Math.floor(across * canvas.width), y = Math.floor(down * canvas.height);
-  const now = scene(), normal = drawing.normalAt(x, y, now);
-  for (const id of ["incidence", "receiving", "tilt", "value"]) find(id).textContent = "–";
-  if (!normal) return slice(null);
-  const aspect = canvas.width / canvas.height, wide = aspect < 1 ? HALF_HEIGHT : HALF_HEIGHT * aspect;
-  const view = unit([-(2 * across - 1) * wide, (2 * down - 1) * (wide / aspect), 1]);
-  const light = unit(now.lamps[0].direction), at = angles(normal, light, view);
-  if (dot(normal, light) <= 0) { find("incidence").textContent = "lamp below the horizon"; return slice(null); }
-  ["incidence", "receiving", "tilt"].forEach((id, i) => { find(id).textContent = degrees(at[i]); });
-  const shell = shells[shells.length > 1 && across > now.split ? 1 : 0];
-  find("value").textContent = shell.all.at(...at).map((f) => f.toFixed(3)).join(", ");
-  slice(at, shell);
-}
-
-function slice(at, shell) {
-  const context = find("slice").getContext("2d"), { width, height } = find("slice");
-  context.clearRect(0, 0, width, height);
-  if (!at) return;
-  const picture = context.createImageData(width, height), radians = Math.PI / 180;
-  const gain = Math.PI * 2 ** Number(find("exposure").value);
-  for (let j = 0; j < height; j++)
-    for (let i = 0; i < width; i++) {
-      const f = shell.all.at(at[0], (i - 70) * radians, (70 - j) * radians);
-      f.forEach((value, c) => {
-        const light = Math.min(Math.max(value * gain, 0), 1);
-        picture.data[4 * (j * width + i) + c] = 255 * (light > 0.0031308 ? 1.055 * light ** (1 / 2.4) - 0.055 : 12.92 * light);
-      });
-      picture.data[4 * (j * width + i) + 3] = 255;
-    }
-  context.putImageData(picture, 0, 0);
-  const x = 70.5 + at[1] / radians, y = 70.5 - at[2] / radians;
-  for (const [style, wide] of [["#000", 3], ["#fff", 1]]) {
-    context.strokeStyle = style;
-    context.lineWidth = wide;
-    context.beginPath();
-    context.arc(x, y, 4, 0, 7);
-    context.stroke();
+const within = (x, most) => Math.min(Math.max(x, -most), most);
+function move(what, right, up) {
+  if (what === "shape") state.turn = [state.turn[0] + right, within(state.turn[1] - up, Math.PI / 2)];
+  if (what === "lamp") state.lamp = [within(state.lamp[0] + right, 1.5), within(state.lamp[1] + up, 1.5)];
+  if (what === "surroundings") {
+    state.rotation += right;
+    const turns = (state.rotation * 180) / Math.PI;
+    find("rotation").value = turns - 360 * Math.round(turns / 360);
+    find("turned").textContent = `${Math.round(find("rotation").value)}°`;
   }
-}
-
-function move(lamp, right, up) {
-  const what = lamp ? state.lamp : state.turn, most = lamp ? 1.5 : Math.PI / 2;
-  what[0] += right;
-  what[1] = Math.min(Math.max(what[1] + up, -most), most);
-  if (lamp) what[0] = Math.min(Math.max(what[0], -most), most);
+  if (what === "point") point([state.point[0] + right / 3, state.point[1] - up / 3]);
   redraw();
 }
 
-let held = null;
+function point(at) {
+  state.point = at.map((x) => Math.min(Math.max(x, 0), 0.9999));
+  find("point").style.left = `${100 * state.point[0]}%`;
+  find("point").style.top = `${100 * state.point[1]}%`;
+}
+
+function zoom(by) {
+  state.zoom = Math.min(Math.max(state.zoom * by, 0.5), 8);
+  redraw();
+}
+
+// fingers and mouse: one drags, two pinch
+const held = new Map();
+const apart = () => { const [a, b] = [...held.values()]; return Math.hypot(a[0] - b[0], a[1] - b[1]); };
 canvas.addEventListener("pointerdown", (event) => {
-  held = [event.clientX, event.clientY];
-  canvas.setPointerCapture(event.pointerId);
+  held.set(event.pointerId, [event.clientX, event.clientY]);
+  canvas.setPointerCapture?.(event.pointerId);
 });
 canvas.addEventListener("pointermove", (event) => {
-  const box = canvas.getBoundingClientRect();
-  pointer = [(event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height]
-    .map((x) => Math.min(Math.max(x, 0), 0.9999));
-  if (!held) return redraw();
-  const step = 3 / box.width, lamp = chosen("drag") === "lamp" || event.shiftKey;
-  move(lamp, (event.clientX - held[0]) * step, (lamp ? -1 : 1) * (event.clientY - held[1]) * step);
-  held = [event.clientX, event.clientY];
+  const box = canvas.getBoundingClientRect(), before = held.get(event.pointerId), now = [event.clientX, event.clientY];
+  if (held.size < 2) point([(now[0] - box.left) / box.width, (now[1] - box.top) / box.height]);
+  if (!before) return describe(scene(canvas.width / canvas.height));
+  const wide = held.size === 2 && apart();
+  held.set(event.pointerId, now);
+  if (wide) return zoom(apart() / wide);
+  const pull = 3 / box.width, what = event.shiftKey ? "lamp" : chosen("drag");
+  if (what !== "point") move(what, (now[0] - before[0]) * pull, (before[1] - now[1]) * pull);
+  else redraw();
 });
-for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { held = null; });
+for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => held.delete(event.pointerId));
+canvas.addEventListener("wheel", (event) => {
+  if (!event.ctrlKey && document.activeElement !== canvas) return;
+  event.preventDefault();
+  zoom(Math.exp(-event.deltaY / 400));
+}, { passive: false });
 
 const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
 canvas.addEventListener("keydown", (event) => {
   const exposure = find("exposure");
-  if (event.key in KEYS) {
-    const [right, up] = KEYS[event.key];
-    move(event.shiftKey, 0.06 * right, (event.shiftKey ? 0.06 : -0.06) * up);
-  } else if ("+-=".includes(event.key)) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key in KEYS) move(event.shiftKey ? "lamp" : chosen("drag"), ...KEYS[event.key].map((x) => 0.06 * x));
+  else if (event.key === "PageUp" || event.key === "PageDown") zoom(event.key === "PageUp" ? 1.1 : 1 / 1.1);
+  else if ("+-=".includes(event.key)) {
     exposure.value = Number(exposure.value) + (event.key === "-" ? -0.2 : 0.2);
     changed();
   } else return;
@@ -146,25 +135,53 @@ canvas.addEventListener("keydown", (event) => {
 function changed() {
   const stops = Number(find("exposure").value);
   find("stops").textContent = `${stops < 0 ? "−" : "+"}${Math.abs(stops).toFixed(1)}`;
+  find("point").hidden = chosen("drag") !== "point";
   redraw();
 }
 find("controls").addEventListener("input", changed);
 find("controls").addEventListener("submit", (event) => event.preventDefault());
 find("split").addEventListener("input", redraw);
+find("rotation").addEventListener("input", () => {
+  state.rotation = (find("rotation").value * Math.PI) / 180;
+  move("surroundings", 0, 0);
+});
+for (const choice of document.querySelectorAll("input[name=around]"))
+  choice.addEventListener("change", () => surround(choice.value === "none" ? null : choice.value === "yours" ? state.file : BUILT_IN[choice.value]()));
 
+function surround(map) {
+  state.around = map && { map };
+  resting = true;
+  redraw();
+}
+
+// what a person opens or drops: a mesh, or a map of light
 async function open(file) {
   try {
+    if (file.name.toLowerCase().endsWith(".hdr")) return openMap(file, await readRadiance(file));
     state.own = await readMesh(file);
   } catch (error) {
-    return say(error instanceof MeshError ? error.message : `${file.name}: expected a mesh, got a file that cannot be read`);
+    const what = error instanceof FileError ? error.message : "expected a mesh (.obj, .glb, .gltf) or surroundings (.hdr), got a damaged file";
+    return say(what.startsWith(file.name) ? what : `${file.name}: ${what}`);
   }
-  drawing.shape("own", state.own);
+  drawing?.shape("own", state.own);
   find("own").hidden = false;
-  document.querySelector("input[name=shape][value=own]").checked = true;
+  choose("shape", "own");
   say(`${file.name}: ${state.own.indices.length / 3} triangles`);
   redraw();
 }
-find("mesh").addEventListener("change", (event) => event.target.files[0] && open(event.target.files[0]));
+
+function openMap(file, map) {
+  state.file = map;
+  find("yours").hidden = false;
+  choose("around", "yours");
+  surround(map);
+  // its mean is shown as white's half
+  const mean = dot(LUMINANCE, lampsOf(map, 1)[0].irradiance) / (4 * Math.PI);
+  if (mean > 0) find("exposure").value = -Math.log2(2 * mean);
+  say(`${file.name}: ${map.width} x ${map.height}`);
+  changed();
+}
+find("file").addEventListener("change", (event) => event.target.files[0] && open(event.target.files[0]));
 addEventListener("dragover", (event) => event.preventDefault());
 addEventListener("drop", (event) => {
   event.preventDefault();
@@ -183,7 +200,7 @@ function start() {
   drawing.shape("sphere", sphere());
   drawing.shape("plate", plate());
   if (state.own) drawing.shape("own", state.own);
-  say("");
+  say(drawing.filtered ? "" : "This device does not filter half-float textures: the table is interpolated in the shader, which is slower.");
   draw();
 }
 canvas.addEventListener("webglcontextlost", (event) => {
@@ -193,4 +210,5 @@ canvas.addEventListener("webglcontextlost", (event) => {
 });
 canvas.addEventListener("webglcontextrestored", start);
 start();
+offerHeadset();
 document.body.dataset.ready = "true";
