@@ -7,6 +7,7 @@ than the standard library, and code that needs no torch loads none.
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
@@ -71,3 +72,20 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+def _show_models_in_notebooks() -> None:
+    """Under IPython a model that a cell ends with is shown in the viewer (decision 35)."""
+    ipython = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
+    if ipython is not None:
+        formatter = ipython.display_formatter.formatters["text/html"]
+        formatter.for_type_by_name("raden_torch.brdf.model.model", "RadenBrdf", _viewer_frame)
+
+
+def _viewer_frame(model: Any) -> str | None:
+    from raden_torch.export.notebook import viewer_frame
+
+    return viewer_frame(model)
+
+
+_show_models_in_notebooks()

@@ -66,15 +66,26 @@ def export_viewer(
             "model", shell, RadenBrdf, "load_model reads one from a file; fit(…).model is one"
         )
     target = check_output(path, (".html",))
-    page = _page(shells).encode()
-    if len(page) > LARGEST_BYTES:
-        raise InputError(
-            f"{target}: expected a page of at most {LARGEST_BYTES} bytes, got {len(page)}; set "
-            "model.layout to a RuntimeLayout with fewer nodes"
-        )
+    page = viewer_page(shells, str(target)).encode()
     with written_beside(target) as temporary:
         temporary.write_bytes(page)
     return len(page)
+
+
+def viewer_page(shells: list[RadenBrdf], where: str = "viewer") -> str:
+    """The page as text, of one shell or two.
+
+    Raises:
+        InputError: it is larger than `LARGEST_BYTES`, or a table is too large for a texture.
+    """
+    page = _page(shells)
+    size = len(page.encode())
+    if size > LARGEST_BYTES:
+        raise InputError(
+            f"{where}: expected a page of at most {LARGEST_BYTES} bytes, got {size}; set "
+            "model.layout to a RuntimeLayout with fewer nodes"
+        )
+    return page
 
 
 def _page(shells: list[RadenBrdf]) -> str:
