@@ -84,6 +84,9 @@ class Drawing {
     for (const [name, value] of Object.entries(whole)) gl.uniform1i(this.uniform(name), value);
     gl.uniform1f(this.uniform("exposure"), exposure);
     gl.uniform1f(this.uniform("split"), viewport[0] + split * viewport[2]);
+    // what a person drops may be wound either way
+    if (shape === "sphere") gl.enable(gl.CULL_FACE);
+    else gl.disable(gl.CULL_FACE);
     gl.bindVertexArray(array);
     gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_INT, 0);
   }

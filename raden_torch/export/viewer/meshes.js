@@ -6,7 +6,7 @@ const cross = (a, b) =>
 const length = (a) => Math.hypot(...a);
 const unit = (a) => a.map((x) => x / (length(a) || 1));
 
-function sphere(rows = 96, columns = 192) {
+function sphere(rows = 48, columns = 96) {
   const positions = [], indices = [];
   for (let i = 0; i <= rows; i++)
     for (let j = 0; j <= columns; j++) {

@@ -1,5 +1,5 @@
 // What is at one point of the picture: the three angles, f_r, and the table's slice there.
-const degrees = (x) => `${((x * 180) / Math.PI).toFixed(1)}°`;
+const degrees = (x) => `${(Math.round((x * 1800) / Math.PI) / 10 + 0).toFixed(1)}°`;
 
 // the angles at the point, and the slice of the table over receiving angle and tilt (fig. 9)
 function describe(now) {
