@@ -216,7 +216,7 @@ def test_what_does_not_fit_is_refused(shells, tmp_path):
     with pytest.raises(InputError, match=r"ends in \.html"):
         export_viewer(shells["akoya"], tmp_path / "page.htm")
     large = rt.fit(rt.simulate_specimen("akoya", step_deg=35)).model
-    large.layout = RuntimeLayout((64, 128, 128), (0.4, 0.4))
+    large.layout = RuntimeLayout((32, 112, 112), (0.4, 0.4))
     with pytest.raises(InputError, match=r"expected a page of at most 3000000 bytes"):
         export_viewer(large, tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
