@@ -66,7 +66,7 @@ def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
 
 def takes_tensors(*tensors: Tensor | None) -> bool:
     """Whether the kernel can stand in for the eager form: maps and what is behind the table."""
-    if torch.onnx.is_in_onnx_export() or _is_transformed():
+    if torch.onnx.is_in_onnx_export() or _within_transform():
         return False
     given = [t for t in tensors if t is not None]
     device = given[0].device
@@ -141,7 +141,19 @@ def shade(
     return torch.ops.raden_torch.shade(*maps, model.runtime_table(), model.layout.warp)
 
 
-def _is_transformed() -> bool:
+def is_transformed(*values: float | Tensor) -> bool:
+    """Whether torch.func's transforms or forward-mode differentiation act on one of these."""
+    return _within_transform() and any(
+        isinstance(x, Tensor)
+        and (
+            torch._C._functorch.is_functorch_wrapped_tensor(x)
+            or forward_ad.unpack_dual(x).tangent is not None
+        )
+        for x in values
+    )
+
+
+def _within_transform() -> bool:
     """Within torch.func's transforms or forward-mode differentiation."""
     if torch.compiler.is_compiling():
         return False
