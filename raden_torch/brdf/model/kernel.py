@@ -39,6 +39,9 @@ _CPU = torch.device("cpu")
 LARGEST_SUMS = 2**28
 """Bytes of table gradients, one for each thread, that a backward pass may take."""
 
+FIXED_SLICES = 8
+"""Of the pixels, each with a sum and a thread of its own, where torch has to be deterministic."""
+
 _TABLE_ARGUMENTS = "Tensor table, float[] warp"
 torch.library.define(
     "raden_torch::brdf", f"(Tensor normal, Tensor light, Tensor view, {_TABLE_ARGUMENTS}) -> Tensor"
@@ -294,7 +297,8 @@ def _brdf_backward(gradient: Tensor, *arguments: Any) -> list[Tensor]:
         torch.zeros(shape if want else 0, dtype=torch.float32, device=_CPU) for want in wanted[:3]
     ]
     table = inputs[3].detach().float().contiguous()
-    slices = max(1, min(torch.get_num_threads(), b * h * w // 4096))
+    in_any = torch.are_deterministic_algorithms_enabled()  # the same bits by any number of threads
+    slices = max(1, min(FIXED_SLICES if in_any else torch.get_num_threads(), b * h * w // 4096))
     if wanted[3]:
         slices = max(1, min(slices, LARGEST_SUMS // (4 * table.numel())))
     sums = torch.zeros((slices, *table.shape) if wanted[3] else 0, dtype=torch.float32, device=_CPU)
