@@ -82,6 +82,13 @@ def calls() -> dict[str, Callable[[], object]]:
     def backward(*wanted: bool) -> Callable[[], object]:
         return lambda: triton_launch.brdf_backward(single, [*[single] * 3, table], WARP, wanted)
 
+    def in_any_order() -> object:
+        torch.use_deterministic_algorithms(True)
+        try:
+            return backward(False, False, False, True)()
+        finally:
+            torch.use_deterministic_algorithms(False)
+
     return {
         "f_r, float32 maps": reflect(torch.float32),
         "f_r, float16 maps": reflect(torch.float16),
@@ -90,6 +97,7 @@ def calls() -> dict[str, Callable[[], object]]:
         "shade, any lamps, a mask": shade(single, None, single, camera, mask),
         "gradient of the vectors": backward(True, True, True, False),
         "gradient of the table": backward(False, False, False, True),
+        "… deterministic": in_any_order,
         "gradient of both": backward(True, True, True, True),
     }
 

@@ -39,6 +39,9 @@ _CPU = torch.device("cpu")
 LARGEST_SUMS = 2**28
 """Bytes of table gradients, one for each thread, that a backward pass may take."""
 
+FIXED_SLICES = 8
+"""Of the pixels, each with a sum and a thread of its own, where torch has to be deterministic."""
+
 _TABLE_ARGUMENTS = "Tensor table, float[] warp"
 torch.library.define(
     "raden_torch::brdf", f"(Tensor normal, Tensor light, Tensor view, {_TABLE_ARGUMENTS}) -> Tensor"
@@ -66,7 +69,7 @@ def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
 
 def takes_tensors(*tensors: Tensor | None) -> bool:
     """Whether the kernel can stand in for the eager form: maps and what is behind the table."""
-    if torch.onnx.is_in_onnx_export() or _is_transformed():
+    if torch.onnx.is_in_onnx_export() or _within_transform():
         return False
     given = [t for t in tensors if t is not None]
     device = given[0].device
@@ -141,7 +144,19 @@ def shade(
     return torch.ops.raden_torch.shade(*maps, model.runtime_table(), model.layout.warp)
 
 
-def _is_transformed() -> bool:
+def is_transformed(*values: float | Tensor) -> bool:
+    """Whether torch.func's transforms or forward-mode differentiation act on one of these."""
+    return _within_transform() and any(
+        isinstance(x, Tensor)
+        and (
+            torch._C._functorch.is_functorch_wrapped_tensor(x)
+            or forward_ad.unpack_dual(x).tangent is not None
+        )
+        for x in values
+    )
+
+
+def _within_transform() -> bool:
     """Within torch.func's transforms or forward-mode differentiation."""
     if torch.compiler.is_compiling():
         return False
@@ -282,7 +297,8 @@ def _brdf_backward(gradient: Tensor, *arguments: Any) -> list[Tensor]:
         torch.zeros(shape if want else 0, dtype=torch.float32, device=_CPU) for want in wanted[:3]
     ]
     table = inputs[3].detach().float().contiguous()
-    slices = max(1, min(torch.get_num_threads(), b * h * w // 4096))
+    in_any = torch.are_deterministic_algorithms_enabled()  # the same bits by any number of threads
+    slices = max(1, min(FIXED_SLICES if in_any else torch.get_num_threads(), b * h * w // 4096))
     if wanted[3]:
         slices = max(1, min(slices, LARGEST_SUMS // (4 * table.numel())))
     sums = torch.zeros((slices, *table.shape) if wanted[3] else 0, dtype=torch.float32, device=_CPU)

@@ -162,7 +162,8 @@ class RadenBrdf(nn.Module):
         It is made anew where the table, the diffuse parameters or the gains have changed since.
         Change them in place under `torch.no_grad()`; a change through `.data` is not seen.
         """
-        if torch.compiler.is_compiling() or kernel.asks_for_gradient(self):
+        in_graph = torch.compiler.is_compiling() or kernel.asks_for_gradient(self)
+        if in_graph or kernel.is_transformed(*_sources(self)):
             return bake(self, self.layout)
         state = model_state(self)
         known = _baked.get(self)
@@ -252,12 +253,30 @@ def model_state(model: RadenBrdf) -> tuple[Any, ...]:
     return (
         model.layout,
         *(
-            (id(x), x.data_ptr(), -1 if x.is_inference() else x._version, x.device, x.dtype)
+            (_Held(x), x.data_ptr(), -1 if x.is_inference() else x._version, x.device, x.dtype)
             if isinstance(x, Tensor)
             else x
-            for x in (*model.parameters(), model.diffuse_gain, model.specular_gain)
+            for x in _sources(model)
         ),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """A tensor by identity. It is kept, or another one might get its place in memory."""
+
+    tensor: Tensor
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Held) and self.tensor is other.tensor
+
+    def __hash__(self) -> int:
+        return id(self.tensor)
+
+
+def _sources(model: RadenBrdf) -> tuple[float | Tensor, ...]:
+    """What the runtime table is baked from."""
+    return (*model.parameters(), model.diffuse_gain, model.specular_gain)
 
 
 def _gain(name: str, value: float | Tensor) -> float | Tensor:

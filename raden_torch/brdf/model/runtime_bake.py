@@ -143,6 +143,20 @@ class _Linear(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Any, ...]:
         return _Linear.apply(gradients[0], ctx.source, not ctx.transposed), None, None
 
+    @staticmethod
+    def jvp(ctx: Any, *tangents: Any) -> Tensor:
+        return _Linear.apply(tangents[0], ctx.source, ctx.transposed)
+
+    @staticmethod
+    def vmap(
+        info: Any, in_dims: tuple[int | None, ...], x: Tensor, source: _Source, transposed: bool
+    ) -> tuple[Tensor, int | None]:
+        if in_dims[0] is None:
+            return _Linear.apply(x, source, transposed), None
+        columns = x.movedim(in_dims[0], -1)
+        found = _Linear.apply(columns.flatten(1), source, transposed)
+        return found.unflatten(1, columns.shape[1:]), -1
+
 
 def _bake(
     table: Tensor | None,

@@ -73,6 +73,20 @@ def _towards(lamp, kind, position):
     return _unit(to), strength
 
 
+@triton.jit
+def _extent(p, seen):
+    """Least and largest of one coordinate of what is seen."""
+    kept = seen & (tl.abs(p) <= _LARGEST)
+    return tl.min(tl.where(kept, p, _LARGEST), 0), tl.max(tl.where(kept, p, -_LARGEST), 0)
+
+
+@triton.jit
+def _square_beside(at, low, high):
+    """Of the distance between a lamp's coordinate and a block's extent."""
+    beside = tl.maximum(tl.maximum(low - at, at - high), 0.0)
+    return beside * beside
+
+
 @triton.jit(do_not_specialize=["lamp_count"])
 def shade(
     normal,
@@ -95,7 +109,8 @@ def shade(
     BLOCK: tl.constexpr,
 ):
     """Σ f_r E cos θi, times the mask; what is not finite is 0. With CAMERA, `view` is the camera
-    and the view camera − position. A block of which nothing is seen does nothing."""
+    and the view camera − position. A block of which nothing is seen does nothing, and lamps
+    are left out as long as all that they can add to it, their reach, fits into what may be lost."""
     b, y, x, kept = _pixels(count, columns, ONE_ROW, WIDE, BLOCK)
     worth = kept
     share = tl.full((BLOCK,), 1.0, tl.float32)
@@ -116,26 +131,45 @@ def shade(
     red = tl.zeros((BLOCK,), tl.float32)
     green, blue = red, red
     lit_by = tl.where(tl.max(seen.to(tl.int32), 0) > 0, lamp_count, 0)
+    lost = tl.full((), 0.0, tl.float32)
+    low_x, high_x, low_y = lost, lost, lost
+    high_y, low_z, high_z = lost, lost, lost
+    # without a tolerance every reach is the largest number
+    if POSITION:
+        if (lit_by > 0) & (tl.load(lamps + 12, mask=lit_by > 0, other=0.0) < _LARGEST):
+            low_x, high_x = _extent(at[0], seen)
+            low_y, high_y = _extent(at[1], seen)
+            low_z, high_z = _extent(at[2], seen)
     for k in range(lit_by):
         lamp = lamps + b * lamp_image_stride + k * lamp_stride
-        to = (
-            tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 1),
-            tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 2),
-            tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 3),
-        )
-        strength = tl.full((BLOCK,), 1.0, tl.float32)
+        reach = tl.load(lamp + 12)
         if POSITION:
-            kind = tl.load(lamp)
-            if kind > 0:
-                to, strength = _towards(lamp, kind, at)
-        n_l = _dot(n, to)
-        strength *= n_l
-        lit = seen & (n_l > 0) & (strength > 0)
-        f = _f_r(table, n, to, v, n_l, n_v, lit, BLOCK)
-        strength = tl.where(lit, strength, 0.0)
-        red += strength * f[0] * tl.load(lamp + 4)
-        green += strength * f[1] * tl.load(lamp + 5)
-        blue += strength * f[2] * tl.load(lamp + 6)
+            if (tl.load(lamp) > 0) & (reach < _LARGEST):
+                square = _square_beside(tl.load(lamp + 1), low_x, high_x)
+                square += _square_beside(tl.load(lamp + 2), low_y, high_y)
+                square += _square_beside(tl.load(lamp + 3), low_z, high_z)
+                reach = reach / tl.maximum(square, _LEAST_NORMAL)
+        left_out = lost + reach <= 1.0
+        lost = tl.where(left_out, lost + reach, lost)
+        if not left_out:
+            to = (
+                tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 1),
+                tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 2),
+                tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 3),
+            )
+            strength = tl.full((BLOCK,), 1.0, tl.float32)
+            if POSITION:
+                kind = tl.load(lamp)
+                if kind > 0:
+                    to, strength = _towards(lamp, kind, at)
+            n_l = _dot(n, to)
+            strength *= n_l
+            lit = seen & (n_l > 0) & (strength > 0)
+            f = _f_r(table, n, to, v, n_l, n_v, lit, BLOCK)
+            strength = tl.where(lit, strength, 0.0)
+            red += strength * f[0] * tl.load(lamp + 4)
+            green += strength * f[1] * tl.load(lamp + 5)
+            blue += strength * f[2] * tl.load(lamp + 6)
     red = tl.where(tl.abs(red) <= _LARGEST, red * share, 0.0)
     green = tl.where(tl.abs(green) <= _LARGEST, green * share, 0.0)
     blue = tl.where(tl.abs(blue) <= _LARGEST, blue * share, 0.0)
@@ -143,7 +177,15 @@ def shade(
 
 
 @triton.jit
-def _slopes_and_sums(table, place, g, sums, above, TABLE: tl.constexpr):
+def _add(sums, node, values, scale, kept):
+    """To a node of each pixel: in no order, so whole numbers where every run has to agree."""
+    if sums.dtype.element_ty == tl.int64:
+        values = (values * scale).to(tl.int64)
+    tl.atomic_add(_node(sums, node), values, mask=kept, sem="relaxed")
+
+
+@triton.jit
+def _slopes_and_sums(table, place, g, sums, scale, above, TABLE: tl.constexpr):
     """The slopes of Σ g f along the axes, in nodes; and what g gives to the eight nodes."""
     first, x, y, z = place
     kept = above[:, None]
@@ -154,6 +196,7 @@ def _slopes_and_sums(table, place, g, sums, above, TABLE: tl.constexpr):
     values, row = table[0], table[3]
     slab = row * table[2]
     by_x, by_y, by_z = tl.zeros_like(x), tl.zeros_like(x), tl.zeros_like(x)
+    whole = tl.load(scale) if TABLE else 1.0
     for corner in tl.static_range(4):
         up, right = corner // 2, corner % 2
         node = first + up * slab + right * row
@@ -167,12 +210,8 @@ def _slopes_and_sums(table, place, g, sums, above, TABLE: tl.constexpr):
         by_z += (far - near) * along_x * along_y
         if TABLE:
             weight = along_x * along_y
-            tl.atomic_add(
-                _node(sums, node), (weight * (1.0 - z))[:, None] * g4, mask=kept, sem="relaxed"
-            )
-            tl.atomic_add(
-                _node(sums, node + 1), (weight * z)[:, None] * g4, mask=kept, sem="relaxed"
-            )
+            _add(sums, node, (weight * (1.0 - z))[:, None] * g4, whole, kept)
+            _add(sums, node + 1, (weight * z)[:, None] * g4, whole, kept)
     return by_x, by_y, by_z
 
 
@@ -201,6 +240,7 @@ def differentiate(
     to_light,
     to_view,
     sums,
+    scale,
     count,
     columns,
     NORMAL: tl.constexpr,
@@ -211,7 +251,8 @@ def differentiate(
     WIDE: tl.constexpr,
     BLOCK: tl.constexpr,
 ):
-    """The gradient of `reflect`: into maps, and added to `sums` `[U, V, W, 4]`."""
+    """The gradient of `reflect`: into maps, and added to `sums` `[U, V, W, 4]`, floats, or
+    multiples of 1 / `scale` in 64-bit integers, whose sum is the same in any order."""
     b, y, x, kept = _pixels(count, columns, ONE_ROW, WIDE, BLOCK)
     raw_n = _load(normal, b, y, x, kept)
     raw_l = _load(light, b, y, x, kept)
@@ -222,7 +263,7 @@ def differentiate(
     g = _load(gradient, b, y, x, above)
     at_u, at_y, at_z, across, along, delta, opposite, apart = _address(table, n, l, v, n_l, n_v)
     place = _place(table, at_u, at_y / across, at_z / along)
-    by_u, by_v, by_w = _slopes_and_sums(table, place, g, sums, above, TABLE)
+    by_u, by_v, by_w = _slopes_and_sums(table, place, g, sums, scale, above, TABLE)
     if NORMAL or LIGHT or VIEW:
         lower, middle = tl.minimum(n_l, n_v), n_l + n_v
         c, k = table[4], table[5]

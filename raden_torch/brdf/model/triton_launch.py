@@ -8,6 +8,7 @@ elements is addressed in 64 bits.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from threading import Lock
 from typing import Any
@@ -17,8 +18,6 @@ import triton
 from torch import Tensor
 
 from raden_torch.brdf.model import triton_kernels
-from raden_torch.brdf.model.runtime_table import read
-from raden_torch.geometry import normalised
 
 BLOCKS = (64, 128, 256)
 """Pixels of a program that are tried, one for each thread."""
@@ -110,42 +109,51 @@ def brdf_backward(
 ) -> list[Tensor]:
     """`raden_torch::brdf_backward` of normal, light, view and table.
 
-    The table's gradient is added up by atomics, in no order, or where torch is to be deterministic
-    (`torch.use_deterministic_algorithms`) by the eager form, which takes longer and more memory.
+    The table's gradient is added up by atomics, in no order. Where torch has to be deterministic
+    (`torch.use_deterministic_algorithms`) they add whole numbers, so that no order matters.
     """
     maps = [m.expand(gradient.shape) for m in (gradient, *inputs[:3])]
     full = [
         gradient.new_empty(gradient.shape if want else 0, dtype=torch.float32)
         for want in wanted[:3]
     ]
-    in_order = wanted[3] and torch.are_deterministic_algorithms_enabled()
-    by_atomics = wanted[3] and not in_order
     table = inputs[3].detach()
-    sums = gradient.new_zeros((*table.shape[:3], 4) if by_atomics else 1, dtype=torch.float32)
-    if gradient.numel() > 0 and (any(wanted[:3]) or by_atomics):
+    exact = wanted[3] and torch.are_deterministic_algorithms_enabled()
+    sums = gradient.new_zeros(
+        (*table.shape[:3], 4) if wanted[3] else 1, dtype=torch.int64 if exact else torch.float32
+    )
+    scale = _scale(gradient) if exact else gradient.new_ones((), dtype=torch.float32)
+    if gradient.numel() > 0 and any(wanted):
         size, arranged, wide = _arranged(
             [*map(_images, maps), *(_images(m) if m.numel() > 0 else None for m in full)]
         )
         first = arranged[0]
-        flags = dict(zip(FLAGS["differentiate"], (*wanted[:3], by_atomics), strict=True))
+        flags = dict(zip(FLAGS["differentiate"], wanted, strict=True))
         targets = (m or first for m in arranged[4:])
         held = _runtime_form(table, warp)
-        _launch("differentiate", size, wide, *arranged[:4], held, *targets, sums, **flags)
-    found = [*full, _in_order(gradient, inputs, warp) if in_order else sums[..., :3]]
+        _launch("differentiate", size, wide, *arranged[:4], held, *targets, sums, scale, **flags)
+    by_table = sums[..., :3]
+    if exact:
+        by_table = torch.where(scale > 0, (by_table.double() / scale.double()).float(), math.nan)
     return [
         g.sum_to_size(x.shape).to(x.dtype)
-        for g, x, want in zip(found, inputs, wanted, strict=True)
+        for g, x, want in zip((*full, by_table), inputs, wanted, strict=True)
         if want
     ]
 
 
-def _in_order(gradient: Tensor, inputs: Sequence[Tensor], warp: Sequence[float]) -> Tensor:
-    """The table's gradient, the same bits every time."""
-    n, l, v, table = (x.detach().float() for x in inputs)  # noqa: E741
-    with torch.enable_grad():
-        table.requires_grad_()
-        f = read(table, (warp[0], warp[1]), normalised(n), normalised(l), normalised(v))
-        return torch.autograd.grad(f, table, gradient.expand(f.shape))[0]
+def _scale(gradient: Tensor) -> Tensor:
+    """A power of two by which even the sum of all pixels stays in 62 bits; no value is waited for.
+
+    A quarter of a billion pixels leave 32 bits for one of them, which are more than a float has.
+    """
+    if gradient.numel() == 0:
+        return gradient.new_ones((), dtype=torch.float32)
+    largest = torch.linalg.vector_norm(gradient.float(), torch.inf)
+    bits = 61 - math.ceil(math.log2(gradient.numel()))
+    power = (bits - torch.log2(largest).ceil()).clamp(-126, 126)
+    # 0 where it is not finite, which makes the sums NaN
+    return torch.where(torch.isfinite(largest), torch.exp2(power), 0.0)
 
 
 def _images(m: Tensor) -> Tensor:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
@@ -137,6 +139,22 @@ class GBuffer:
         outward = torch.where(geometry.dot(normal, position) > 0, -1.0, 1.0).to(dtype)
         inside = valid if mask is None else valid * coverage(mask).to(dtype)
         return cls(normal * outward, position=position, camera=(0.0, 0.0, 0.0), mask=inside)
+
+    def to(self, device: torch.device | str, *, non_blocking: bool = False) -> GBuffer:
+        """The same on another device; from pinned memory, `non_blocking` does not wait for it."""
+        return self._each(lambda m: m.to(device, non_blocking=non_blocking))
+
+    def pin_memory(self) -> GBuffer:
+        """The same in page-locked memory, as torch's DataLoader asks for with `pin_memory`."""
+        return self._each(Tensor.pin_memory)
+
+    def _each(self, change: Callable[[Tensor], Tensor]) -> GBuffer:
+        """With every map changed, which is not checked again: that would wait for a GPU."""
+        own = copy.copy(self)
+        for name in _MAPS:
+            if isinstance(value := getattr(self, name), Tensor):
+                object.__setattr__(own, name, change(value))
+        return own
 
     def view_map(self, like: Tensor) -> Tensor:
         """Directions to the viewer, not unit, in the dtype of `like`."""

@@ -151,16 +151,21 @@ def packed(
         return like.new_zeros(0, 1, 13, dtype=torch.float32)
     if like.device.type == "cuda" and not _on_a_gpu(lights):
         # made here and copied once, without waiting for the GPU
-        here = packed(lights, position, like.new_empty(0, device="cpu"), may_be_lost)
-        return here.pin_memory().to(like.device, non_blocking=True)
+        here = packed(lights, position, like.new_empty(0, device="cpu"))
+        there = here.pin_memory().to(like.device, non_blocking=True)
+        return there if isinstance(may_be_lost, float) else _with_reach(there, may_be_lost)
     rows = [
-        _rows(light, like, may_be_lost)
-        if isinstance(light, DistantLamps)
-        else _row(light, position, like, may_be_lost)[None]
+        _rows(light, like) if isinstance(light, DistantLamps) else _row(light, position, like)[None]
         for light in lights
     ]
     batch = max(row.shape[1] for row in rows)
-    return torch.cat([row.expand(-1, batch, -1) for row in rows])
+    return _with_reach(torch.cat([row.expand(-1, batch, -1) for row in rows]), may_be_lost)
+
+
+def _with_reach(rows: Tensor, may_be_lost: Tensor | float) -> Tensor:
+    # 0 / 0, no light and nothing to be left out, is no reach, either
+    reach = torch.nan_to_num((rows[..., 4:7].abs() / may_be_lost).amax(-1, True), nan=0.0)
+    return torch.cat([rows[..., :12], reach], dim=-1)
 
 
 def _on_a_gpu(lights: Sequence[KernelLight]) -> bool:
@@ -168,13 +173,12 @@ def _on_a_gpu(lights: Sequence[KernelLight]) -> bool:
     return any(isinstance(value, Tensor) and value.is_cuda for value in values)
 
 
-def _rows(lamps: DistantLamps, like: Tensor, may_be_lost: Tensor | float) -> Tensor:
-    """`[K, 1, 13]`; see `packed`."""
+def _rows(lamps: DistantLamps, like: Tensor) -> Tensor:
+    """`[K, 1, 12]`, without reach; see `packed`."""
     colour = lamps.irradiance.detach().to(like.device, working_dtype(like))
-    rows = colour.new_zeros(len(colour), 13)
+    rows = colour.new_zeros(len(colour), 12)
     rows[:, 1:4] = lamps.directions.to(rows)
     rows[:, 4:7] = colour
-    rows[:, 12] = torch.nan_to_num((colour.abs() / may_be_lost).amax(1), nan=0.0)
     return rows[:, None]
 
 
@@ -182,7 +186,6 @@ def _row(
     light: DirectionalLight | PointLight | SpotLight,
     position: Tensor | None,
     like: Tensor,
-    may_be_lost: Tensor | float,
 ) -> Tensor:
     def columns(value: Colour) -> Tensor:
         return as_map(value, like.new_zeros((), dtype=dtype))[..., 0, 0]
@@ -200,9 +203,7 @@ def _row(
         angles = [cosines.new_full((1, 1), x) for x in (light.outer_deg, light.inner_deg)]
         cosines = torch.cos(torch.deg2rad(torch.cat(angles, dim=1)))
     colour = columns(radiated)
-    # 0 / 0, no light and nothing to be left out, is no reach, either
-    reach = torch.nan_to_num((colour.abs() / may_be_lost).amax(1, keepdim=True), nan=0.0)
-    parts = [at.new_full((1, 1), kind), at, colour, axis, cosines, reach]
+    parts = [at.new_full((1, 1), kind), at, colour, axis, cosines]
     batch = max(len(part) for part in parts)
     return torch.cat([part.expand(batch, -1) for part in parts], dim=1)
 

@@ -52,9 +52,9 @@ def shade(
         lights: directional, point and spot lights, and environments, which are prefiltered where
             that serves (`EnvironmentLight.samples`). No light gives a black image.
         tolerance: the error of a pixel's radiance, in the image's unit, that may be traded for
-            time. Above 0, the fused CPU kernel leaves out lights that are certainly too far or too
-            weak for a tile of 64 pixels to matter, and reads large frames under distant lamps from
-            a `LitSphere`. The other forms compute everything.
+            time. Above 0, the fused kernels leave out lights that are certainly too far or too weak
+            for a few neighbouring pixels to matter, and the CPU's reads large frames under distant
+            lamps from a `LitSphere`. The eager form computes everything.
 
     Returns:
         `[B, 3, H, W]` scene-linear RGB with sRGB primaries, unclipped, multiplied by the mask.
@@ -299,7 +299,7 @@ def _by_kernel(
     camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
     floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
     # one half for the lights that are left out, one for the lit sphere
-    trades = tolerance > 0 and normal.device.type == "cpu"
+    trades = tolerance > 0 and normal.device.type in ("cpu", "cuda")
     may_be_lost = tolerance / 2 / model.upper_bound() if trades else 0.0
     if kept is None or trades:
         lamps = packed(known, position, normal, may_be_lost)
@@ -313,7 +313,7 @@ def _by_kernel(
         return None
     for lamp in lamps[:1]:
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
-    if trades and view is not None:
+    if trades and view is not None and normal.device.type == "cpu":
         sphere = _sphere(model, normal, view, lights, lamps, tolerance / 2)
         if sphere is not None:
             return kernel.look_up(sphere, normal, floating)

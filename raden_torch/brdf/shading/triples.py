@@ -57,6 +57,11 @@ def checked(where: str, value: Colour, *, may_be_one: bool = False) -> Tensor:
     if tensor.ndim not in (1, 2) or tensor.shape[-1] != 3:
         raise InputError(f"{where}: expected shape [3] or [B, 3], got {list(tensor.shape)}")
     # a graph that is traced knows no values
+    if not torch.compiler.is_compiling() and torch._C._functorch.is_batchedtensor(tensor):
+        raise InputError(
+            f"{where}: expected numbers that can be read, got a tensor within torch.func.vmap; "
+            "give all of them at once, [B, 3]"
+        )
     if not torch.compiler.is_compiling() and not torch.isfinite(tensor).all():
         raise InputError(f"{where}: expected three finite numbers, got {value!r}")
     return tensor

@@ -474,6 +474,20 @@ def test_gradients_are_the_same_bits_every_time(model, level) -> None:
     assert all(torch.equal(g, second[name]) for name, g in first.items())
 
 
+def test_deterministic_gradients_are_the_same_bits_by_any_number_of_threads(model, level) -> None:
+    before, tables = torch.get_num_threads(), []
+    torch.use_deterministic_algorithms(True)
+    try:
+        for threads in (1, 2, 5):
+            torch.set_num_threads(threads)
+            tables.append(gradients_of(model, image_maps(200, 300), level)["table.values"])
+    finally:
+        torch.set_num_threads(before)
+        torch.use_deterministic_algorithms(False)
+    assert torch.equal(tables[0], tables[1])
+    assert torch.equal(tables[0], tables[2])
+
+
 def test_gradients_of_gradients_take_the_eager_form(model) -> None:
     def twice(level: str) -> torch.Tensor:
         n, l, v = (m.clone().requires_grad_() for m in image_maps(3, 5))  # noqa: E741

@@ -7,7 +7,6 @@ is loaded: `test_in_the_interpreter` runs the others in a process of their own. 
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import subprocess
@@ -21,7 +20,6 @@ import numpy as np
 import pytest
 import torch
 from torch import Tensor
-from torch.utils._python_dispatch import TorchDispatchMode
 
 import raden_torch as rt
 from raden_torch.brdf.model import kernel, simd
@@ -49,103 +47,6 @@ def test_in_the_interpreter() -> None:
         check=False,
     )
     assert found.returncode == 0, found.stdout[-4000:] + found.stderr[-2000:]
-
-
-@pytest.mark.parametrize(("capability", "runs"), [((7, 5), False), ((8, 0), True), ((12, 0), True)])
-def test_which_devices_run_them(monkeypatch, capability: tuple[int, int], runs: bool) -> None:
-    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
-    assert simd.triton_runs("cuda:1") is runs
-    with simd.using(simd.OFF):
-        assert not simd.triton_runs("cuda:1")
-    monkeypatch.setattr(simd, "_has_triton", lambda: False)
-    assert not simd.triton_runs("cuda:1")
-
-
-def test_the_choice_is_a_constant_of_compiled_code(monkeypatch) -> None:
-    monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: (9, 0))
-
-    @torch.compile(backend="eager", fullgraph=True)
-    def chosen(x: Tensor) -> Tensor:
-        return x + 1 if simd.triton_runs("cuda:0") else x
-
-    assert chosen(torch.zeros(1)) == 1
-
-
-def test_the_system_report_names_every_gpu(monkeypatch) -> None:
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
-    monkeypatch.setattr(torch.cuda, "get_device_name", lambda device: f"card {device[-1]}")
-    capability = {"cuda:0": (9, 0), "cuda:1": (7, 0)}
-    monkeypatch.setattr(torch.cuda, "get_device_capability", capability.__getitem__)
-    report = simd.system_report()
-    assert "on cuda:0: Triton kernels (card 0)" in report
-    assert (
-        "on cuda:1: eager torch: the Triton kernels need CUDA and compute capability 8.0" in report
-    )
-
-
-@pytest.mark.parametrize("name", ["brdf", "brdf_backward", "shade"])
-def test_the_operators_have_a_form_for_gpus(name: str) -> None:
-    assert torch._C._dispatch_has_kernel_for_dispatch_key(f"raden_torch::{name}", "CUDA")
-
-
-class _Recorder(TorchDispatchMode):
-    """Torch's operators that are called: name, and the kinds of device of their tensors."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.calls: list[tuple[str, set[str]]] = []
-
-    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
-        tensors = [a for a in args if isinstance(a, Tensor)]
-        self.calls.append((str(func), {t.device.type for t in tensors}))
-        return func(*args, **(kwargs or {}))
-
-
-@torch.no_grad()
-def test_shading_what_is_on_the_device_waits_for_nothing(monkeypatch) -> None:
-    """As a CUDA graph asks for. The meta device stands for the GPU: it refuses to be read."""
-    model = rt.RadenBrdf(None, None)
-    table = torch.zeros(*model.layout.shape, 3, device="meta")
-    monkeypatch.setattr(kernel, "_runs_on", lambda device: True)
-    monkeypatch.setattr(rt.RadenBrdf, "runtime_table", lambda self: table)
-    for module, check in (("lights", "_check"), ("gbuffer", "_triple")):
-        monkeypatch.setattr(f"raden_torch.brdf.shading.{module}.{check}", lambda *_, **__: None)
-    n, three = torch.zeros(1, 3, 8, 8, device="meta"), torch.zeros(3, device="meta")
-    lamps = [
-        rt.PointLight(three, three),
-        rt.SpotLight(three, three, three),
-        rt.DirectionalLight(three, three),
-    ]
-    scene = rt.GBuffer(n, camera=three, position=n, mask=n[:, :1])
-    with _Recorder() as recorder:
-        assert rt.shade(model, scene, lamps).shape == n.shape
-    assert "raden_torch.shade.default" in {name for name, _ in recorder.calls}
-    assert not [name for name, kinds in recorder.calls if "cpu" in kinds]
-
-
-def test_the_benchmark_says_that_there_is_no_gpu() -> None:
-    if torch.cuda.is_available():
-        pytest.skip("there is one")
-    script = ROOT / "benchmarks" / "gpu.py"
-    found = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
-    assert found.returncode == 2
-    assert found.stderr == "gpu: expected an NVIDIA GPU that torch can use, got none\n"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(INTERPRETED, reason="needs the compiler")
-def test_every_kernel_compiles_without_spills() -> None:
-    script = ROOT / "benchmarks" / "gpu_compile.py"
-    found = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, check=False, cwd=ROOT
-    )
-    assert found.returncode == 0, found.stderr[-2000:]
-    report = json.loads((script.parent / "results" / "gpu_compile.json").read_text())
-    kernels = {name: row for name, row in report.items() if isinstance(row, dict)}
-    assert {name[-5:] for name in kernels} == {"sm_80", "sm_90"}
-    for name, row in kernels.items():
-        assert row["spilled bytes"] == 0, name
-        assert row["accesses"].get("ld 16", 0) in (0, 8), name  # the nodes of the table
 
 
 @pytest.fixture
@@ -353,14 +254,26 @@ def deterministic() -> Iterator[None]:
 def test_the_tables_gradient_is_the_same_bits_where_torch_is_deterministic(
     launch, form, device, deterministic
 ) -> None:
+    """In any order of the pixels, so in any order in which a GPU takes them."""
     maps = maps_of(*[(1, 3, 33, 47)] * 3, device=device)
     change = torch.randn(1, 3, 33, 47, generator=torch.Generator().manual_seed(5)).to(device)
     table, warp = form_on(form, device)
-    arguments = (change, [*maps, table], warp, [True] * 4)
-    first, second = (launch.brdf_backward(*arguments)[3] for _ in range(2))
-    assert torch.equal(first, second)
+    order = torch.randperm(33 * 47, generator=torch.Generator().manual_seed(6)).to(device)
+    shuffled = [m.flatten(2)[..., order].view(m.shape) for m in (change, *maps)]
+    found, again = (
+        launch.brdf_backward(one[0], [*one[1:], table], warp, [False, False, False, True])[0]
+        for one in ([change, *maps], shuffled)
+    )
+    assert torch.equal(found, again)
     exact = gradients(form, maps, change, torch.float64)[3]
-    close(first, exact, 1e-5)
+    close(found, exact, 1e-6)
+    for size in (1e30, 1e-30):
+        scaled = launch.brdf_backward(size * change, [*maps, table], warp, [False] * 3 + [True])[0]
+        close((scaled.double() / size).float(), exact, 1e-6)
+    for change_of, expected in ((0.0, 0.0), (math.nan, math.nan)):
+        given = torch.full_like(change, change_of)
+        some = launch.brdf_backward(given, [*maps, table], warp, [False] * 3 + [True])[0]
+        assert torch.equal(some.nan_to_num(7.0), torch.full_like(some, expected).nan_to_num(7.0))
 
 
 def lights_of(count: int) -> list[Any]:
@@ -435,6 +348,30 @@ def test_shade(as_operators, shell_on, device, lights, masked, camera) -> None:
     else:
         assert exact.max() > 0
         close(found, exact)
+
+
+@torch.no_grad()
+@pytest.mark.parametrize(("tolerance", "used"), [(0.0, False), (1e-4, False), (0.02, True)])
+def test_lamps_are_left_out_within_the_tolerance(
+    as_operators, shell_on, device, tolerance, used
+) -> None:
+    """As tests/brdf/shading/test_tolerance.py asks of the CPU kernel."""
+    model, on_device = shell_on
+    generator = torch.Generator().manual_seed(3)
+    lamps = [
+        rt.PointLight(40 * torch.rand(3, generator=generator) + torch.tensor([-20.0, -20.0, 0.5]))
+        for _ in range(12)
+    ]
+    lamps = [*lamps, *lights_of(3), rt.DirectionalLight((0.0, 0.1, 1.0), 1e-3)]
+    gbuffer = scene(device, None, view=(0.1, 0.1, 1.0))
+    with simd.using(simd.OFF):
+        exact = rt.shade(model.double(), _double(scene(torch.device("cpu"), None,
+                                                       view=(0.1, 0.1, 1.0))), lamps)  # fmt: skip
+    found = rt.shade(on_device, gbuffer, lamps, tolerance=tolerance)
+    assert as_operators == ["shade"]
+    off = (found.cpu() - exact).abs().amax()
+    assert off <= tolerance + 5e-6 * exact.max()
+    assert (off > 5e-6 * exact.max()) == used
 
 
 def _double(gbuffer: rt.GBuffer) -> rt.GBuffer:
