@@ -28,6 +28,8 @@ from raden_torch.brdf.files.image_file import (
 from raden_torch.brdf.files.model_file import load_model
 from raden_torch.brdf.files.normal_axes import Green
 from raden_torch.brdf.files.shade_file import shade_file
+from raden_torch.brdf.materials.coat import Coated
+from raden_torch.brdf.materials.pearl import pearl
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.shading.relight import relight, relit_under, tiled
@@ -54,6 +56,9 @@ SHAPES = {
 }
 
 
+PEARL = "pearl"
+"""What stands for a model's file to light a simulated pearl."""
+
 Layout = Literal["picture", "strip", "sheet"]
 """Of what `relight_files` writes."""
 
@@ -64,7 +69,7 @@ _EXPOSED_FOR = 0.95
 
 
 def render_shape(
-    model: RadenBrdf,
+    model: RadenBrdf | Coated,
     shape: str,
     lights: Sequence[Light] | None = None,
     *,
@@ -79,10 +84,12 @@ def render_shape(
     """
     if shape not in SHAPES:
         raise InputError(f"shape: expected {' or '.join(SHAPES)}, got {shape}")
+    if isinstance(model, Coated) and shape != "sphere":
+        raise InputError(f"shape: expected sphere for a pearl, got {shape}")
     view = SHAPES[shape]
     lights, camera = lights or view.lights, camera or view.camera
     with torch.no_grad():
-        if shape == "plate":
+        if isinstance(model, RadenBrdf) and shape == "plate":
             image = shade_plate(model, plate(size, camera, samples=samples), lights)
         else:
             image = shade(model, sphere(size, camera, samples=samples), lights)
@@ -91,7 +98,7 @@ def render_shape(
 
 
 def render_gbuffer(
-    model: RadenBrdf,
+    model: RadenBrdf | Coated,
     path: Path,
     lights: Sequence[Light] | None = None,
     reading: GBufferReading = USUAL,
@@ -108,7 +115,7 @@ def render_gbuffer(
 
 
 def render_gbuffer_file(
-    model: RadenBrdf,
+    model: RadenBrdf | Coated,
     path: Path,
     output: Path,
     lights: Sequence[Light] | None = None,
@@ -141,7 +148,7 @@ def render_gbuffer_file(
 def save_picture(
     image: Tensor,
     path: str | os.PathLike[str],
-    model: RadenBrdf,
+    model: RadenBrdf | Coated,
     *,
     display: Display = AS_IT_IS,
 ) -> float:
@@ -155,8 +162,15 @@ def save_picture(
     return display.write(image, path, caption_of(model))
 
 
-def caption_of(model: RadenBrdf) -> str | None:
+def load_material(model: Path) -> RadenBrdf | Coated:
+    """The model of a file, or "pearl": a simulated one, where there is no file of that name."""
+    return pearl() if str(model) == PEARL and not model.exists() else load_model(model)
+
+
+def caption_of(model: RadenBrdf | Coated) -> str | None:
     """What a picture of this model has to say of itself."""
+    if isinstance(model, Coated):
+        return f"simulated specimen: {PEARL}"
     if not model.provenance.simulated:
         return None
     return f"simulated specimen: {model.provenance.sample}"

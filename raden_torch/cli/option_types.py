@@ -224,3 +224,6 @@ Lamps = Annotated[tuple[LampOption, ...], _read_all(LampOption.read, "X,Y,Z")]
 Pairs = Annotated[tuple[tuple[str, str], ...], _read_all(_pair, "NAME=VALUE")]
 
 ModelFile = Annotated[Path, argument("a model that `raden fit` wrote")]
+RenderedModel = Annotated[
+    Path, argument("a model that `raden fit` wrote; or pearl, a simulated one")
+]

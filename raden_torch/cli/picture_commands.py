@@ -14,6 +14,7 @@ from raden_torch.cli.option_types import (
     LampOrFile,
     Lamps,
     ModelFile,
+    RenderedModel,
     Stops,
     Triple,
     files,
@@ -33,6 +34,7 @@ from raden_torch.packages import require
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from raden_torch.brdf.materials.coat import Coated
     from raden_torch.brdf.model.model import RadenBrdf
     from raden_torch.brdf.shading.lights import Light
 
@@ -51,7 +53,7 @@ class ShapeOptions:
     samples: int = 2
     """rays per pixel along each side"""
 
-    def image(self, model: RadenBrdf, lights: Sequence[Light]) -> Tensor:
+    def image(self, model: RadenBrdf | Coated, lights: Sequence[Light]) -> Tensor:
         """`[1, 3, size, size]` scene-linear RGB."""
         from raden_torch.pictures import render_shape
 
@@ -61,7 +63,7 @@ class ShapeOptions:
 
 
 def render(
-    model: ModelFile,
+    model: RenderedModel,
     /,
     *,
     output: Annotated[Path, output("the .png, .jpg or (linear) .exr to write")] = Path(
@@ -79,8 +81,12 @@ def render(
     ] = None,
     exr: GBufferOptions = GBufferOptions(),
 ) -> None:
-    from raden_torch.brdf.files.model_file import load_model
-    from raden_torch.pictures import render_gbuffer, render_gbuffer_file, save_picture
+    from raden_torch.pictures import (
+        load_material,
+        render_gbuffer,
+        render_gbuffer_file,
+        save_picture,
+    )
 
     shown_by = display.display
     shown_by.check_path(output)
@@ -89,7 +95,7 @@ def render(
     if gbuffer is not None and output.suffix.lower() == ".exr":
         with progress("rendering") as shown:
             used = render_gbuffer_file(
-                load_model(model),
+                load_material(model),
                 gbuffer,
                 output,
                 lights,
@@ -101,7 +107,7 @@ def render(
             )
     else:
         with working("rendering"):
-            loaded = load_model(model)
+            loaded = load_material(model)
             if gbuffer is None:
                 image = shape.image(loaded, lights)
             else:

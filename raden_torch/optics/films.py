@@ -220,7 +220,12 @@ def _check(films: Films) -> None:
     thickness = as_real(films.thickness_nm)
     if count and not bool(((thickness > 0) & (thickness < math.inf)).all()):
         raise InputError("films: thickness_nm: expected numbers above 0, got one that is not")
-    for n in _indices(films):
+    check_passive(_indices(films))
+
+
+def check_passive(indices: Sequence[Array]) -> None:
+    """Raise InputError for an index of 0, or of a medium that amplifies."""
+    for n in indices:
         index = as_complex(n)
         if not bool(((index.imag >= 0) & (abs(index) > 0)).all()):
             raise InputError(

@@ -39,6 +39,8 @@ class Stack:
         tablets: how many tablets lie on each other. 170 of them are the 80 µm of a thin slice [R].
         loss: imaginary index of both, which stands for scattering [A]: a round trip of 44 µm
             leaves 1/e.
+        organic_n: index of the sheets; 1.4…1.57 is published [M].
+        dispersion: of the tablets' indices, over calcite's (`aragonite`).
     """
 
     tablet_nm: float
@@ -47,6 +49,8 @@ class Stack:
     organic_spread: float = 0.20
     tablets: int = 170
     loss: float = 5e-4
+    organic_n: float = ORGANIC_N
+    dispersion: float = 1.0
 
 
 def calcite_index(wavelength_nm: ArrayLike, coefficients: tuple[float, ...]) -> Floats:
@@ -60,16 +64,17 @@ def calcite_index(wavelength_nm: ArrayLike, coefficients: tuple[float, ...]) -> 
     return np.asarray(np.sqrt(1 + a + b * square / (square - c) + d * square / (square - e)))
 
 
-def aragonite(wavelength_nm: ArrayLike, loss: float = 0.0) -> Medium:
+def aragonite(wavelength_nm: ArrayLike, loss: float = 0.0, dispersion: float = 1.0) -> Medium:
     """Aragonite, taken as uniaxial, with its c axis standing on the films.
 
-    No dispersion of aragonite was found: calcite's is rescaled to the indices at 589 nm [A].
+    No dispersion of aragonite was found: calcite's is rescaled to the indices at 589 nm [A], and
+    `dispersion` times as much of it is taken.
     """
 
     def rescaled(n_at_sodium: float, coefficients: tuple[float, ...]) -> Complexes:
         shape = calcite_index(wavelength_nm, coefficients)
         at_sodium = calcite_index(SODIUM_D_NM, coefficients)
-        return np.asarray(n_at_sodium * shape / at_sodium + 1j * loss)
+        return np.asarray(n_at_sodium * (1 + dispersion * (shape / at_sodium - 1)) + 1j * loss)
 
     return Medium(rescaled(ARAGONITE_N_O, _CALCITE_O), rescaled(ARAGONITE_N_E, _CALCITE_E))
 
@@ -116,8 +121,8 @@ def mean_reflectance(
     """
     media = [
         isotropic(ambient_n),
-        aragonite(wavelength_nm, stack.loss),
-        isotropic(ORGANIC_N + 1j * stack.loss),
+        aragonite(wavelength_nm, stack.loss, stack.dispersion),
+        isotropic(stack.organic_n + 1j * stack.loss),
         isotropic(URUSHI_N),
     ]
     films = 2 * stack.tablets - 1

@@ -16,8 +16,6 @@ from raden_torch.optics.nacre import ARAGONITE_N_O, Stack, mean_reflectance, wav
 
 BANDS_NM = np.arange(380.0, 781.0, 5.0)
 
-_STACKS = 300
-_STACK_SEED = 20120301  # the shell is the same in every call
 _TABLE_STEP_NM = 4.0  # in vacuum, at normal incidence
 _MARGIN = 0.04  # of wavelength, for the neighbouring angle
 _Q_SQUARED = np.linspace(0.0, 1.0, 11)
@@ -39,6 +37,8 @@ class Specimen:
         body_warmth: relative change of that albedo from 550 nm to 1100 nm, were it straight.
         coat_n: index of the urushi over the slice; 1.52…1.54 [M].
         source: where the numbers come from, for the metadata.
+        stacks: how many random stacks lie side by side; their mean is what is seen.
+        stack_seed: which they are. The same in every call.
     """
 
     stack: Stack
@@ -49,6 +49,8 @@ class Specimen:
     body_albedo: float = 0.35
     body_warmth: float = 0.30
     coat_n: float = 1.53
+    stacks: int = 300
+    stack_seed: int = 20120301
 
 
 def brdf_per_sr(shell: Specimen, light: Floats, view: Floats) -> Floats:
@@ -126,7 +128,7 @@ def _table(shell: Specimen) -> tuple[Floats, float, float]:
             np.interp(across[used], known, vacuum),
             np.array([q_squared]),
             ambient_n=shell.coat_n,
-            stacks=_STACKS,
-            seed=_STACK_SEED,
+            stacks=shell.stacks,
+            seed=shell.stack_seed,
         )[0]
     return table, first, step

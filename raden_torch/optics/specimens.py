@@ -160,12 +160,7 @@ def simulate_specimen(
     tablet_scale = _number(tablet_scale, "tablet_scale", *TABLET_SCALES)
     shell = _rescaled(SPECIMENS[name], tablet_scale)
     angles = _grid(step_deg) if geometries_deg is None else _scattered(geometries_deg)
-    bands_to_values = np.eye(len(BANDS_NM)) if spectral else bands_to_xyz()
-    values = np.empty((len(angles), bands_to_values.shape[1]))
-    for start in range(0, len(angles), _ROWS_AT_ONCE):
-        rows = slice(start, start + _ROWS_AT_ONCE)
-        brdf = brdf_per_sr(shell, *directions(np.radians(angles[rows])))
-        values[rows] = FACTOR_PER_SR * brdf @ bands_to_values
+    values = reflectance_factors(shell, angles, spectral=spectral)
     std = noise * np.maximum(values, NOISE_FLOOR) if noise else None
     if std is not None:
         values = values + std * np.random.default_rng(seed).standard_normal(values.shape)
@@ -179,6 +174,21 @@ def simulate_specimen(
         std=std,
         metadata=_metadata(name, noise, seed, tablet_scale),
     )
+
+
+def reflectance_factors(shell: Specimen, angles_deg: Floats, *, spectral: bool = False) -> Floats:
+    """`[M, channels]` of a shell, the perfect reflecting diffuser = 100: X, Y, Z or `BANDS_NM`.
+
+    Args:
+        angles_deg: `[M, 3]` incidence, receiving and tilt.
+    """
+    bands_to_values = np.eye(len(BANDS_NM)) if spectral else bands_to_xyz()
+    values = np.empty((len(angles_deg), bands_to_values.shape[1]))
+    for start in range(0, len(angles_deg), _ROWS_AT_ONCE):
+        rows = slice(start, start + _ROWS_AT_ONCE)
+        brdf = brdf_per_sr(shell, *directions(np.radians(angles_deg[rows])))
+        values[rows] = FACTOR_PER_SR * brdf @ bands_to_values
+    return values
 
 
 def directions(angles: Floats) -> tuple[Floats, Floats]:

@@ -19,6 +19,7 @@ from raden_torch.optics.films import (
     reflectance,
     transmittance,
 )
+from raden_torch.optics.nacre import Stack, aragonite, random_thicknesses
 
 TOLERANCE = {torch.float64: 1e-11, torch.float32: 2e-4}
 
@@ -181,3 +182,41 @@ def test_no_passive_stack_is_refused_in_one_line(films, message):
 def test_admittance_of_the_vacuum_is_the_cosine():
     assert admittance(isotropic(1.0), 0.6, "s") == pytest.approx(0.8)
     assert admittance(isotropic(1.0), 0.6, "p") == pytest.approx(1 / 0.8)
+
+
+@pytest.mark.parametrize("polarisation", POLARISATIONS)
+def test_nacre_without_loss_keeps_all_power(polarisation):
+    """Rationale: R + T = 1 for what the shells are made of: 400 random stacks of 339 films, half of
+    them uniaxial, from a medium in which the light is beyond total reflection in the sheets.
+    Expected: 1e-10, where 1e-6 is asked for."""
+    rng = np.random.default_rng(8)
+    thickness = torch.as_tensor(random_thicknesses(Stack(400.0, 0.06), 400, rng))
+    wavelength = torch.tensor([400.0, 550.0, 700.0], dtype=torch.float64)
+    media = [isotropic(1.66), aragonite(wavelength.numpy()), isotropic(1.5), isotropic(1.52)]
+    films = Films(media, [0, *(1 + film % 2 for film in range(339)), 3], thickness)
+    q = torch.tensor([[0.0], [1.0], [1.505], [1.6]], dtype=torch.float64)
+    r, t = (f(films, wavelength, q, polarisation) for f in (reflectance, transmittance))
+    assert r.shape == (400, 4, 3)
+    assert (r + t - 1).abs().max() < 1e-10
+    assert t[:, :3].max() > 1e-3
+    assert (r[:, 3] - 1).abs().max() < 1e-10  # the substrate takes none
+
+
+@pytest.mark.parametrize("polarisation", POLARISATIONS)
+def test_a_thick_absorbing_stack_passes_nothing_and_keeps_its_gradient(polarisation):
+    """Metres of absorbing films: no overflow forwards or backwards, and no NaN."""
+    for dtype in (torch.float32, torch.float64):
+        thickness = torch.full((40,), 1e6, dtype=dtype, requires_grad=True)
+        media = [
+            isotropic(1.0),
+            Medium(1.68 + 0.3j, 1.53 + 0.2j),
+            isotropic(0.2 + 3j),
+            isotropic(1),
+        ]
+        films = Films(media, [0, *[1, 2] * 20, 3], thickness)
+        q = torch.tensor([0.0, 0.9], dtype=dtype)
+        r, t = (f(films, 550.0, q, polarisation) for f in (reflectance, transmittance))
+        assert (t == 0).all()
+        assert ((r > 0) & (r < 1)).all()
+        (gradient,) = torch.autograd.grad((r + t).sum(), thickness)
+        assert torch.isfinite(gradient).all()

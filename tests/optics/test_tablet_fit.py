@@ -27,6 +27,8 @@ def a_shell(monkeypatch, tablet_nm, spread, organic_nm=25.0, *, spectral=False, 
         specimens.SPECIMENS["yakogai"],
         stack=Stack(tablet_nm, spread, organic_nm),
         steep_tablet_nm=tablet_nm,
+        stacks=60,
+        stack_seed=seed,
     )
     monkeypatch.setitem(specimens.SPECIMENS, "known", shell)
     return rt.simulate_specimen(
@@ -37,7 +39,7 @@ def a_shell(monkeypatch, tablet_nm, spread, organic_nm=25.0, *, spectral=False, 
 @pytest.mark.parametrize("spectral", [False, True])
 @pytest.mark.parametrize(
     ("tablet_nm", "spread", "organic_nm"),
-    [(300, 0.04, 25), (380, 0.07, 29), (450, 0.03, 21), (520, 0.05, 25)],
+    [(300, 0.04, 25), (380, 0.07, 29), (500, 0.035, 21)],
 )
 def test_known_tablets_are_found_within_three_percent_and_the_interval(
     monkeypatch, tablet_nm, spread, organic_nm, spectral
@@ -53,14 +55,17 @@ def test_known_tablets_are_found_within_three_percent_and_the_interval(
     assert found.simulated
 
 
-def test_the_period_s_interval_covers_the_truth(monkeypatch):
-    """Rationale: at 95 % more than two misses of twelve have a chance of 2 %."""
+def test_the_intervals_cover_the_truth(monkeypatch):
+    """Rationale: at 95 % more than two misses of twelve have a chance of 2 %; a hundred repeats
+    are in docs/accuracy.md, by benchmarks/tablets.py."""
     rng = np.random.default_rng(3)
     missed = 0
     for seed in range(6):
         tablet_nm, spread = rng.uniform(300, 520), rng.uniform(0.03, 0.08)
-        found = estimate_tablets(a_shell(monkeypatch, tablet_nm, spread, seed=seed))
-        missed += abs(found.period_nm - tablet_nm - 25) > 1.96 * found.period_std_nm
+        organic_nm = rng.normal(25, 5)
+        found = estimate_tablets(a_shell(monkeypatch, tablet_nm, spread, organic_nm, seed=seed))
+        low, high = found.tablet_interval_nm
+        missed += not low <= tablet_nm <= high
         low, high = found.spread_interval
         missed += not low <= spread <= high
     assert missed <= 2
