@@ -46,7 +46,7 @@ async function main() {
     page.on("pageerror", (error) => { said ||= error.message; });
     page.on("console", (message) => { if (message.type() === "error") said ||= message.text(); });
     await page.goto(server.address);
-    await page.waitForFunction(() => window.ready, { timeout: 50_000 }).catch(() => {
+    await page.waitForFunction(() => window.ready, null, { timeout: 50_000 }).catch(() => {
       throw new Error(said || "the page did not load the file");
     });
     const isolated = await page.evaluate(() => window.isolated);

@@ -137,7 +137,7 @@ async function main() {
     browser = await openChromium(modules, chromium);
     const { page, version } = browser;
     await page.goto(server.address);
-    await page.waitForFunction(() => window.state, { timeout: 50_000 });
+    await page.waitForFunction(() => window.state, null, { timeout: 50_000 });
     const state = await page.evaluate(() => window.state);
     if (state !== "ready") throw new Error(state);
     say({ version, note: "Chromium, SwiftShader" });
