@@ -16,6 +16,8 @@ import torch
 import raden_torch as rt
 from raden_torch.brdf.files.display import to_display
 from raden_torch.brdf.shading.environment import EnvironmentLight
+from raden_torch.export.gltf_brdf import GltfMaterial
+from raden_torch.export.gltf_file import export_gltf
 from raden_torch.export.shading_language import export_shader
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,6 +46,7 @@ class Drawn:
     folder: Path
     model: rt.RadenBrdf
     sky: torch.Tensor
+    nearest: GltfMaterial
 
     def picture(self, name: str) -> np.ndarray:
         values = np.fromfile(self.folder / f"drawn.{name}", np.uint8)
@@ -103,6 +106,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Drawn:
         export_shader(model, folder / f"{name}.glsl")
     (folder / "other.bin").write_bytes(bytes((folder / "shell.bin").stat().st_size))
     (folder / "short.bin").write_bytes((folder / "shell.bin").read_bytes()[:-8])
+    nearest = export_gltf(model, folder / "shell.gltf").material
     sky = surroundings()
     equirectangular(sky).tofile(folder / "sky.bin")
     program = Path(__file__).with_name("three.mjs")
@@ -112,7 +116,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Drawn:
     errors = json.loads((folder / "errors.json").read_text())
     # the files that are asked for and not there
     assert [e for e in errors if "status of 404" not in e] == []
-    return Drawn(folder, model, sky)
+    return Drawn(folder, model, sky, nearest)
 
 
 def lamp(place: tuple[float, float, float], intensity: np.ndarray) -> rt.PointLight:
@@ -160,6 +164,30 @@ def test_light_from_all_around(drawn: Drawn) -> None:
     assert np.sqrt((difference**2).mean()) < 4.5
     assert abs(difference.mean()) < 2
     assert drawn.picture("hemisphere")[drawn.on_sphere].max() > 50
+
+
+def test_the_gltf_file_is_shown_as_its_formulas_say(drawn: Drawn) -> None:
+    """Rationale: three masks otherwise, and takes the film's Fresnel at N·V: nearly the same."""
+    loaded = json.loads((drawn.folder / "gltf.json").read_text())
+    nearest = drawn.nearest
+    assert loaded["type"] == "MeshPhysicalMaterial"
+    assert loaded["iridescenceIOR"] == pytest.approx(nearest.film_ior, abs=1e-4)
+    assert loaded["iridescenceThicknessRange"][1] == pytest.approx(nearest.thickness_nm, abs=1e-2)
+    assert loaded["color"] == pytest.approx(nearest.base_colour, abs=1e-4)
+    n, position = drawn.map("normal")[0, :3], drawn.map("position")[0, :3]
+    v = torch.nn.functional.normalize(torch.tensor(CAMERA).view(3, 1, 1) - position, dim=0)
+    light = torch.nn.functional.normalize(torch.tensor([1.0, 2.0, 2.0]), dim=0).view(3, 1, 1)
+    h = torch.nn.functional.normalize(light + v, dim=0)
+    pairs = ((n, light), (n, v), (n, h), (v, h))
+    cosines = [(a * b).sum(0).flatten().clamp(1e-4, 1).double().numpy() for a, b in pairs]
+    radiance = nearest.f_r(*cosines) * cosines[0][:, None] * 2.5
+    shown = to_display(torch.from_numpy(radiance.T).reshape(1, 3, SIDE, SIDE).float())
+    wanted = (shown[0].movedim(0, -1) * 255).numpy()
+    inside = drawn.on_sphere & (cosines[0].reshape(SIDE, SIDE) > 0.2)
+    inside &= cosines[1].reshape(SIDE, SIDE) > 0.2
+    off = abs(drawn.picture("gltf") - wanted)[inside]
+    assert wanted[inside].max() > 100
+    assert off.mean() < 8
 
 
 def test_bad_input_is_said_in_a_line(drawn: Drawn) -> None:
