@@ -1,14 +1,14 @@
 // Opens a page in headless Chromium and prints what is on it as JSON.
 // Arguments: node_modules, Chromium's program, a folder for the pictures, the visit as JSON:
-// {url, noSimd, files: {input: path}, drop: path, pointer: [x, y]} with x, y in 0…1 of the canvas.
+// {url, graphics, noSimd, files: {input: path}, drop: path, pointer: [x, y]} with x, y in 0…1 of the canvas.
 import fs from "node:fs";
 import path from "node:path";
 import { openChromium } from "../../raden_torch/export/workers/chromium.mjs";
 
 const [modules, chromium, pictures, visit] = process.argv.slice(2);
-const { url, noSimd, files = {}, drop, pointer } = JSON.parse(visit);
+const { url, graphics = false, noSimd, files = {}, drop, pointer } = JSON.parse(visit);
 const { page, close } = await openChromium(modules, chromium, {
-  graphics: false, viewport: { width: 900, height: 800 },
+  graphics, viewport: { width: 900, height: 800 },
 });
 try {
   if (noSimd) await page.addInitScript(() => { WebAssembly.validate = () => false; });
