@@ -68,7 +68,7 @@ async function draw() {
   [canvas.width, canvas.height] = [photo.width, photo.height];
   canvas.getContext("2d").putImageData(shown, 0, 0);
   element("state").textContent =
-    `${where.length} pixels in ${milliseconds.toFixed(0)} ms, ${shader.threads} thread(s)`;
+    `${where.length} pixels in ${milliseconds.toFixed(0)} ms, ${shader.by}`;
 }
 
 // One picture at a time; what changed meanwhile is drawn next.

@@ -113,7 +113,8 @@ def export(
     output: Annotated[
         Path,
         output(
-            "the file to write: .onnx; .glsl or .wgsl, with the table beside it; or .html, a viewer"
+            "the file to write: .onnx; .glsl or .wgsl, with the table beside it; .html, a viewer; "
+            "or .gltf, the nearest material of that format"
         ),
     ],
     compare: Annotated[
@@ -125,7 +126,7 @@ def export(
     from raden_torch.export.export import export_onnx
     from raden_torch.export.shading_language import LANGUAGES, export_shader
 
-    check_output(output, (".onnx", *LANGUAGES, ".html"), inputs=(model, compare))
+    check_output(output, (".onnx", *LANGUAGES, ".html", ".gltf"), inputs=(model, compare))
     if compare is not None and output.suffix != ".html":
         raise InputError(f"--compare: expected with an .html file, got {output.suffix}")
     if output.suffix == ".html":
@@ -135,6 +136,14 @@ def export(
         beside = None if compare is None else load_model(compare)
         size = export_viewer(load_model(model), output, compare=beside)
         print(f"a viewer of {size} bytes, which opens from disk\nwrote {output}")
+        return
+    if output.suffix == ".gltf":
+        from raden_torch.export.gltf_file import export_gltf
+
+        _refuse_onnx_options(how, output.suffix)
+        with working("fitting a glTF material"):
+            nearest = export_gltf(load_model(model), output)
+        print(f"{nearest}\nwrote {output}")
         return
     if output.suffix in LANGUAGES:
         _refuse_onnx_options(how, output.suffix)

@@ -20,6 +20,7 @@ from raden_torch import __version__
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.errors import InputError, check_type
 from raden_torch.export.forms import RuntimeForm, form_of
+from raden_torch.export.whole_reflection import highlight_roughness, view_albedo
 from raden_torch.files import check_outputs, written_beside
 
 LANGUAGES = {".glsl": "GLSL ES 3.00 (WebGL 2)", ".wgsl": "WGSL (WebGPU)"}
@@ -187,6 +188,8 @@ def describe(form: RuntimeForm, source: Provenance, table: str) -> dict[str, Any
         "bytes": x * y * z * _TEXEL_BYTES,
         "quantity": "f_r in 1/sr, linear RGB with sRGB primaries",
         "warp": list(form.warp),
+        "directional_albedo": view_albedo(form),
+        "roughness": round(highlight_roughness(form), 4),
         "source": {k: v for k, v in asdict(source).items() if k != "fit"},
     }
 

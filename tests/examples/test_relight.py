@@ -122,7 +122,19 @@ def test_the_page_gives_the_librarys_picture(
     at = [(LAMP[0] + 1) / 2, (1 - LAMP[1]) / 2]
     found = visit(serve(), tmp_path, pointer=at)
     assert found["message"] == ""
-    assert re.match(r"\d+ pixels in \d+ ms, [2-4] thread", found["state"])
+    assert re.match(r"\d+ pixels in \d+ ms, WebAssembly, [2-4] thread", found["state"])
+    check_same(found["picture"], scene, LAMP)
+
+
+@needs_browser
+@pytest.mark.slow
+def test_the_page_takes_webgpu_where_the_browser_has_it(
+    serve: Callable[..., str], scene: Path, tmp_path: Path
+) -> None:
+    at = [(LAMP[0] + 1) / 2, (1 - LAMP[1]) / 2]
+    found = visit(serve("--no-isolation"), tmp_path, pointer=at, graphics=True)
+    assert found["message"] == ""
+    assert re.match(r"\d+ pixels in \d+ ms, WebGPU", found["state"])
     check_same(found["picture"], scene, LAMP)
 
 

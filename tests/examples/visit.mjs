@@ -1,27 +1,16 @@
 // Opens a page in headless Chromium and prints what is on it as JSON.
 // Arguments: node_modules, Chromium's program, a folder for the pictures, the visit as JSON:
-// {url, noSimd, files: {input: path}, drop: path, pointer: [x, y]} with x, y in 0…1 of the canvas.
+// {url, graphics, noSimd, files: {input: path}, drop: path, pointer: [x, y]} with x, y in 0…1 of the canvas.
 import fs from "node:fs";
-import os from "node:os";
 import path from "node:path";
-import { createRequire } from "node:module";
+import { openChromium } from "../../raden_torch/export/workers/chromium.mjs";
 
 const [modules, chromium, pictures, visit] = process.argv.slice(2);
-const { url, noSimd, files = {}, drop, pointer } = JSON.parse(visit);
-const { chromium: browser } = createRequire(path.join(path.resolve(modules), "x.js"))("playwright-core");
-const profile = fs.mkdtempSync(path.join(os.tmpdir(), "raden-browser-"));
-const context = await browser.launchPersistentContext(profile, {
-  executablePath: chromium,
-  headless: true,
-  ignoreDefaultArgs: ["--enable-unsafe-swiftshader"],
-  viewport: { width: 900, height: 800 },
-  args: [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-    "--disable-background-networking", "--disable-component-update", "--disable-sync",
-  ],
+const { url, graphics = false, noSimd, files = {}, drop, pointer } = JSON.parse(visit);
+const { page, close } = await openChromium(modules, chromium, {
+  graphics, viewport: { width: 900, height: 800 },
 });
 try {
-  const page = await context.newPage();
   if (noSimd) await page.addInitScript(() => { WebAssembly.validate = () => false; });
   await page.goto(url);
   await page.waitForSelector("body[data-ready=true]", { timeout: 240_000 });
@@ -58,6 +47,5 @@ try {
   await page.screenshot({ path: path.join(pictures, "page.png") });
   fs.writeFileSync(path.join(pictures, "page.json"), JSON.stringify(found));
 } finally {
-  await context.close();
-  fs.rmSync(profile, { recursive: true, force: true });
+  await close();
 }

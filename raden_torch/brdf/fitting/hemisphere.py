@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch import geometry
@@ -48,26 +50,39 @@ def shares(table: Tabulated) -> Shares:
 
 
 def directional_albedo(model: RadenBrdf) -> dict[float, float]:
-    """∫ f_r cos θr dω by incidence in degrees, in the channel where it is highest.
+    """∫ f_r cos θr dω by incidence in degrees, in the channel where it is highest."""
+    cosines = np.cos(np.deg2rad(INCIDENCES_DEG))
+    with torch.no_grad():
+        totals = sums_over_directions(model, cosines).amax(dim=1)
+    return dict(zip(INCIDENCES_DEG, totals.tolist(), strict=True))
 
-    By Gauss-Legendre quadrature over cos θr and equal steps of the azimuth, in float64.
+
+def sums_over_directions(
+    f: Callable[[Tensor, Tensor, Tensor], Tensor], cosines: NDArray[np.float64]
+) -> Tensor:
+    """∫ f cos θ dω over the hemisphere, by Gauss-Legendre quadrature over cos θ and equal steps of
+    the azimuth, in float64.
+
+    Args:
+        f: of the normal, one direction and all directions, `[1, 3, H, W]` each.
+        cosines: between the normal and the one direction, `[N]`.
+
+    Returns:
+        `[N, 3]`.
     """
     points, weights = np.polynomial.legendre.leggauss(_COSINES)
     cosine, weight = torch.from_numpy((points + 1) / 2), torch.from_numpy(weights / 2)
     azimuth = torch.from_numpy(2 * np.pi * (np.arange(_AZIMUTHS) + 0.5) / _AZIMUTHS)
     sine = (1 - cosine**2).sqrt()[:, None]
     rows = (sine * azimuth.cos(), sine * azimuth.sin(), cosine[:, None].expand(-1, _AZIMUTHS))
-    view = torch.stack(rows)[None]  # [1, 3, cosines, azimuths]
-    normal = view.new_tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
-    found = {}
-    with torch.no_grad():
-        for incidence in INCIDENCES_DEG:
-            a = np.deg2rad(incidence)
-            light = view.new_tensor([np.sin(a), 0.0, np.cos(a)]).view(1, 3, 1, 1)
-            f = model(normal, light, view)
-            total = (f * (cosine * weight)[:, None]).sum(dim=(2, 3)) * 2 * torch.pi / _AZIMUTHS
-            found[incidence] = float(total.max())
-    return found
+    around = torch.stack(rows)[None]  # [1, 3, cosines, azimuths]
+    normal = around.new_tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
+    sums = []
+    for one in cosines:
+        fixed = around.new_tensor([np.sqrt(max(1 - one**2, 0.0)), 0.0, one]).view(1, 3, 1, 1)
+        values = f(normal, fixed, around) * (cosine * weight)[:, None]
+        sums.append(values.sum(dim=(2, 3))[0] * 2 * torch.pi / _AZIMUTHS)
+    return torch.stack(sums)
 
 
 def _random_directions(seed: int) -> Tensor:

@@ -1,16 +1,11 @@
 // A shader text in headless Chromium: GLSL in WebGL 2, WGSL in WebGPU, both drawn by SwiftShader.
 // Arguments: the folder node_modules, Chromium's program, "glsl" or "wgsl", the job's folder with
 // shader.txt, table.bin and table.json. Inputs normal, light, view: [pixels, 4]. See worker.py.
-import fs from "node:fs";
-import http from "node:http";
-import os from "node:os";
-import path from "node:path";
 import readline from "node:readline";
-import { createRequire } from "node:module";
+import { openChromium, serve } from "./chromium.mjs";
 
 const [modules, chromium, language, folder] = process.argv.slice(2);
 const say = (words) => process.stdout.write(JSON.stringify(words) + "\n");
-const own = createRequire(path.join(path.resolve(modules), "package.json"));
 
 const PAGE = `<!doctype html><meta charset="utf-8"><title>runtime</title><script type="module">
 const bytes = async (name) => (await fetch("/job/" + name)).arrayBuffer();
@@ -135,38 +130,16 @@ try {
 }
 </script>`;
 
-function answer(request, response) {
-  response.setHeader("Cache-Control", "no-store");
-  const { pathname } = new URL(request.url, "http://localhost");
-  if (pathname === "/") return response.setHeader("Content-Type", "text/html").end(PAGE);
-  const file = path.join(folder, path.basename(pathname));
-  if (request.method === "PUT")
-    return request.pipe(fs.createWriteStream(file)).on("finish", () => response.end());
-  if (!fs.existsSync(file)) return response.writeHead(404).end();
-  return fs.createReadStream(file).pipe(response);
-}
-
 async function main() {
-  const server = http.createServer(answer);
-  await new Promise((done) => server.listen(0, "127.0.0.1", done));
-  const profile = fs.mkdtempSync(path.join(os.tmpdir(), "raden-browser-"));
-  let context;
+  const server = await serve({ "/job/": folder }, { index: PAGE });
+  let browser;
   try {
-    context = await own("playwright-core").chromium.launchPersistentContext(profile, {
-      executablePath: chromium,
-      headless: true,
-      args: [
-        "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-        "--disable-component-update", "--disable-sync", "--use-angle=swiftshader",
-        "--enable-unsafe-swiftshader", "--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader",
-      ],
-    });
-    const page = await context.newPage();
-    await page.goto(`http://127.0.0.1:${server.address().port}/`);
-    await page.waitForFunction(() => window.state, { timeout: 50_000 });
+    browser = await openChromium(modules, chromium);
+    const { page, version } = browser;
+    await page.goto(server.address);
+    await page.waitForFunction(() => window.state, null, { timeout: 50_000 });
     const state = await page.evaluate(() => window.state);
     if (state !== "ready") throw new Error(state);
-    const version = await page.evaluate(() => navigator.userAgent.match(/Chrome\/([\d.]+)/)?.[1] ?? "?");
     say({ version, note: "Chromium, SwiftShader" });
     for await (const line of readline.createInterface({ input: process.stdin })) {
       try {
@@ -176,9 +149,8 @@ async function main() {
       }
     }
   } finally {
-    await context?.close();
+    await browser?.close();
     server.close();
-    fs.rmSync(profile, { recursive: true, force: true });
   }
 }
 
