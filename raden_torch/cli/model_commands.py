@@ -121,7 +121,7 @@ def export(
     ] = None,
     how: ExportOptions = ExportOptions(),
 ) -> None:
-    from raden_torch.brdf.files.model_file import load_model
+    from raden_torch.brdf.files.model_file import load_brdf, load_model
     from raden_torch.export.export import export_onnx
     from raden_torch.export.shading_language import LANGUAGES, export_shader
 
@@ -132,13 +132,13 @@ def export(
         from raden_torch.export.viewer_file import export_viewer
 
         _refuse_onnx_options(how, output.suffix)
-        beside = None if compare is None else load_model(compare)
-        size = export_viewer(load_model(model), output, compare=beside)
+        beside = None if compare is None else load_brdf(compare, "viewer")
+        size = export_viewer(load_brdf(model, "viewer"), output, compare=beside)
         print(f"a viewer of {size} bytes, which opens from disk\nwrote {output}")
         return
     if output.suffix in LANGUAGES:
         _refuse_onnx_options(how, output.suffix)
-        written = export_shader(load_model(model), output)
+        written = export_shader(load_brdf(model, f"{output.suffix} file"), output)
         print(f"{written}\nwrote {', '.join(str(file) for file in written.files)}")
         return
     with working("exporting"):
