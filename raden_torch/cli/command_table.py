@@ -82,7 +82,7 @@ capture = App(
 _COMMANDS = (
     (
         "model_commands:fit",
-        "Fit a model to a measurement and report how well.",
+        "Fit a model to a measurement, or a palette to several of one shell, and report how well.",
         "raden fit shell.csv -o shell.safetensors",
     ),
     (
