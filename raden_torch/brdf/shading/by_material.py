@@ -19,7 +19,10 @@ from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
 
-_MAPS = ("normal", "view", "position", "mask", "layer_normal", "tangent")
+_MAPS = (
+    *("normal", "view", "position", "mask", "layer_normal", "tangent"),
+    *("diffuse_gain", "specular_gain"),
+)
 _L = TypeVar("_L")
 
 
@@ -115,6 +118,8 @@ def _gathered(gbuffer: GBuffer, image: int, pixels: Tensor) -> dict[str, Tensor]
 
     found = {name: getattr(gbuffer, name) for name in _MAPS}
     rows = {name: row(name, value) for name, value in found.items() if isinstance(value, Tensor)}
+    if gbuffer.specular_gain is gbuffer.diffuse_gain and gbuffer.diffuse_gain is not None:
+        rows["specular_gain"] = rows["diffuse_gain"]  # a gain on the whole stays one
     if gbuffer.camera is not None:
         camera = _triple_of(gbuffer.camera, image, len(gbuffer.normal))
         rows["camera"] = camera  # type: ignore[assignment]
@@ -127,6 +132,8 @@ def _cut(rows: dict[str, Tensor], start: int, size: int) -> GBuffer:
         name: value[..., start : start + size] if name == "normal" or _is_row(value) else value
         for name, value in rows.items()
     }
+    if "diffuse_gain" in rows and rows["diffuse_gain"] is rows.get("specular_gain"):
+        maps["specular_gain"] = maps["diffuse_gain"]
     return GBuffer(**maps)
 
 
