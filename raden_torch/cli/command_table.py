@@ -172,6 +172,11 @@ _CAPTURE_COMMANDS = (
         "--white-mask white.png --white-factor 98.5 -o shell.csv",
     ),
     (
+        "segment_command:segment",
+        "Propose which pixels of a photographed inlay show which shell: a palette's map.",
+        "raden capture segment lamp*.png --shells 3 -o map.png",
+    ),
+    (
         "simulated_photographs_command:simulate",
         "Photograph a simulated specimen by Mitsuba 3, with everything that is true of it beside.",
         "raden capture simulate --material yakogai -o photographs",
