@@ -99,6 +99,11 @@ class Palette(nn.Module):
             )
         return self._models[0].of_unit_vectors(n, l, v)
 
+    @staticmethod
+    def _range_of(index: Tensor) -> tuple[int, int]:
+        low, high = (int(x) for x in index.aminmax()) if index.numel() else (0, 0)
+        return low, high
+
     def check_material(
         self,
         material: Tensor,
@@ -117,8 +122,9 @@ class Palette(nn.Module):
             first_row: the number of the first row, for messages.
         """
         if not material.is_floating_point():
-            whole = material if mask is None else torch.where(mask > 0, material, 0)
-            low, high = (int(x) for x in whole.aminmax()) if whole.numel() else (0, 0)
+            low, high = self._range_of(material)
+            if mask is not None and not 0 <= low <= high < len(self):
+                low, high = self._range_of(torch.where(mask > 0, material, 0))
             if low < 0 or high >= len(self):
                 raise InputError(
                     f"{where}: expected indices 0…{len(self) - 1} of the palette "
