@@ -152,8 +152,8 @@ def _with_gains(
     body, beyond = gbuffer.diffuse_gain, gbuffer.specular_gain
     plain = replace(gbuffer, diffuse_gain=None, specular_gain=None)
     if body is beyond:
-        image = _lit(model, plain, lights, tolerance, kept)
-        return image * cast(Tensor, body).to(image)
+        whole = _lit(model, plain, lights, tolerance, kept)
+        return whole * cast(Tensor, body).to(whole)
     if type(model) is not RadenBrdf:
         raise InputError(
             "GBuffer diffuse_gain, specular_gain: expected a RadenBrdf, which has the two parts, "

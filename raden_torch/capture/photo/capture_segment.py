@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from raden_torch.arrays import Floats32
 from raden_torch.capture.photo.photograph import check_same_size, read_linear, shown
 from raden_torch.capture.photo.segmentation import Segmentation, segment
-from raden_torch.capture.photo.stored_values import Coding
+from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.images.pixels import draw_caption, write_pixels
 
 
