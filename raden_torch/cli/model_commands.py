@@ -155,6 +155,8 @@ class ExportOptions:
     """radiance, or brdf (f_r in 1/sr, gbuffer only)"""
     form: Literal["runtime", "fit"] = "runtime"
     """runtime, or fit (the paper's formula and table: slower, editable)"""
+    material: Literal["index", "weights"] = "index"
+    """what chooses of a palette: an index, or a weight of each material, a pixel"""
     opset: int = 18
     """version of the ONNX operator set"""
     fixed: bool = False
@@ -203,6 +205,7 @@ def export(
             profile=how.profile,
             output=how.quantity,
             form=how.form,
+            material=how.material,
             opset=how.opset,
             fixed=how.fixed,
         )

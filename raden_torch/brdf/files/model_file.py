@@ -70,7 +70,7 @@ def save_model(model: Reflection, path: str | os.PathLike[str]) -> None:
     if not callable(getattr(model, "of_unit_vectors", None)):
         check_type("model", model, (RadenBrdf, Palette), "fit(…).model is one")
     target = check_output(path, (".safetensors",))
-    about, tensors = _described(model)
+    about, tensors = described(model)
     stored = {
         name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
         for name, value in tensors.items()
@@ -80,7 +80,7 @@ def save_model(model: Reflection, path: str | os.PathLike[str]) -> None:
         temporary.write_bytes(data)
 
 
-def _described(model: Reflection) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+def described(model: Reflection) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
     """What a file holds: its metadata and its tensors."""
     if isinstance(model, RadenBrdf):
         return describe(model), model.state_dict()
