@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any
+from typing import Any, TypeVar
 
 from torch import Tensor
 
@@ -20,9 +20,9 @@ from raden_torch.brdf.materials.urushi import Lambertian
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError
-from raden_torch.schema import checked
 
 Record = dict[str, Any]
+T = TypeVar("T")
 
 
 @dataclass
@@ -114,27 +114,27 @@ def material_of(record: Any, models: Mapping[int, Reflection], where: str) -> Re
 
 
 def _model(record: Record, models: Mapping[int, Reflection], where: str) -> Reflection:
-    number = checked(record, _Model, where).model
+    number = _checked(record, _Model, where).model
     if number not in models:
         raise InputError(f"{where}: model: expected 0…{len(models) - 1}, got {number}")
     return models[number]
 
 
 def _coat(record: Record, models: Mapping[int, Reflection], where: str) -> Reflection:
-    said = vars(checked(record, _Coat, where))
+    said = vars(_checked(record, _Coat, where))
     return Coated(**{**said, "base": material_of(said["base"], models, f"{where}: base")})
 
 
 def _powder(record: Record, models: Mapping[int, Reflection], where: str) -> Reflection:
-    said = checked(record, _Powder, where)
+    said = _checked(record, _Powder, where)
     flakes = material_of(said.flakes, models, f"{where}: flakes")
     return Powder(flakes, material_of(said.ground, models, f"{where}: ground"), said.density)
 
 
 _KINDS: dict[str, Callable[[Record, Mapping[int, Reflection], str], Reflection]] = {
     "model": _model,
-    "Lambertian": lambda record, _, where: checked(record, Lambertian, where),
-    "Foil": lambda record, _, where: checked(record, Foil, where),
+    "Lambertian": lambda record, _, where: _checked(record, Lambertian, where),
+    "Foil": lambda record, _, where: _checked(record, Foil, where),
     "Coated": _coat,
     "Powder": _powder,
 }
@@ -152,9 +152,15 @@ def runtime_of(about: Record, tensors: Mapping[str, Tensor], where: str) -> Runt
         InputError: values that are not of this layout.
         KeyError: there are none.
     """
-    layout, values = checked(about["runtime"], RuntimeLayout, where), tensors["values"]
+    layout, values = _checked(about["runtime"], RuntimeLayout, where), tensors["values"]
     if list(values.shape) != [*layout.shape, 3]:
         raise InputError(
             f"{where}: values: expected shape {[*layout.shape, 3]}, got {list(values.shape)}"
         )
     return RuntimeBrdf(values, layout)
+
+
+def _checked(record: Record, kind: type[T], where: str) -> T:
+    from raden_torch.schema import checked  # with a library that only reading files needs
+
+    return checked(record, kind, where)
