@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,6 +57,8 @@ def _in_three(linear: NDArray[Any]) -> Floats32:
 
 def _picture(photographs: Sequence[Floats32], found: Segmentation) -> NDArray[np.uint8]:
     """The mean photograph, and the same with each shell in a colour of its own."""
+    import cv2
+
     seen = shown(np.mean(np.stack(photographs), axis=0))
     count = len(found.areas) - 1
     hues = np.zeros((1, count + 1, 3), np.uint8)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,6 +52,8 @@ def segment(photographs: Sequence[Floats32], shells: int, *, smallest_px: int = 
         InputError: no photograph, photographs of different sizes, not 1…254 shells, or fewer pieces
             than shells.
     """
+    import cv2
+
     _check(photographs, shells, smallest_px)
     labs = [_lab(photograph) for photograph in photographs]
     inside = _pieces_from_ground(labs)
@@ -90,6 +91,8 @@ def _check(photographs: Sequence[Floats32], shells: int, smallest_px: int) -> No
 
 def _lab(photograph: Floats32) -> Floats32:
     """`[H, W, 3]` CIELAB, exposed for the photograph's bright parts."""
+    import cv2
+
     white = max(float(np.percentile(photograph[..., 1], _WHITE_SHARE)), 1e-9)
     shown = np.clip(photograph / white, 0, 1).astype(np.float32)
     return np.asarray(cv2.cvtColor(shown, cv2.COLOR_LRGB2Lab), np.float32)
@@ -97,6 +100,8 @@ def _lab(photograph: Floats32) -> Floats32:
 
 def _pieces_from_ground(labs: Sequence[Floats32]) -> NDArray[np.uint8]:
     """1 where there is shell: by Otsu's threshold on lightness and chroma, median photograph."""
+    import cv2
+
     each = [lab[..., 0] + np.hypot(lab[..., 1], lab[..., 2]) for lab in labs]
     median = np.median(np.stack(each), axis=0)
     scaled = np.clip(np.rint(median * (255 / max(float(median.max()), 1e-9))), 0, 255)
@@ -109,6 +114,8 @@ def _histograms(labs: Sequence[Floats32], pieces: NDArray[np.int32], count: int)
 
     The distance between two of them is Hellinger's.
     """
+    import cv2
+
     made = []
     sizes = np.maximum(np.bincount(pieces.ravel(), minlength=count), 1)[:, None]
     for lab in labs:
@@ -125,6 +132,8 @@ def _histograms(labs: Sequence[Floats32], pieces: NDArray[np.int32], count: int)
 
 def _grouped(features: Floats32, areas: NDArray[np.int32], shells: int) -> NDArray[np.int32]:
     """Which of so many groups each piece is of, by k-means; larger pieces count more."""
+    import cv2
+
     copies = np.clip(np.rint(areas / np.median(areas)), 1, _COPIES).astype(int)
     samples = np.repeat(np.arange(len(areas)), copies)
     cv2.setRNGSeed(0)
