@@ -13,6 +13,8 @@ from typing import Literal, cast
 import torch
 from torch import Tensor
 
+from raden_torch.artwork.board import CAMERA as BOARD_CAMERA
+from raden_torch.artwork.board import broad_light, shade_materials
 from raden_torch.artwork.plate import plate, shade_plate
 from raden_torch.brdf.files.display import AS_IT_IS, Display, auto_exposure_ev
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
@@ -25,12 +27,14 @@ from raden_torch.brdf.files.image_file import (
     read_photograph,
     write_photograph,
 )
+from raden_torch.brdf.files.material_map import read_material
 from raden_torch.brdf.files.model_file import load_model
 from raden_torch.brdf.files.normal_axes import Green
 from raden_torch.brdf.files.shade_file import shade_file
-from raden_torch.brdf.materials.coat import Coated
-from raden_torch.brdf.materials.pearl import pearl
-from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.pearl import is_pearl, pearl
+from raden_torch.brdf.materials.runtime import models_of
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.shading.relight import relight, relit_under, tiled
 from raden_torch.brdf.shading.shade import shade, warn_if_black
@@ -53,6 +57,7 @@ SHAPES = {
         (0.0, -2.4, 4.2),
         (PointLight((-0.7, 1.1, 2.6)), PointLight((1.6, 0.7, 2.2), (1.6, 1.6, 1.6))),
     ),
+    "board": View(BOARD_CAMERA, tuple(broad_light())),
 }
 
 
@@ -69,7 +74,7 @@ _EXPOSED_FOR = 0.95
 
 
 def render_shape(
-    model: RadenBrdf | Coated,
+    model: Reflection,
     shape: str,
     lights: Sequence[Light] | None = None,
     *,
@@ -79,26 +84,43 @@ def render_shape(
 ) -> Tensor:
     """`[1, 3, size, size]` scene-linear RGB of a shape, anti-aliased in linear light.
 
+    A palette shows all of its materials: on the sphere in sectors, clockwise from the top; on the
+    plate piece by piece in turn; on the board, whose height is its own, each in the whole motif.
+
     Args:
         shape: a key of `SHAPES`, which also has the lights and the camera where none are given.
     """
     if shape not in SHAPES:
-        raise InputError(f"shape: expected {' or '.join(SHAPES)}, got {shape}")
-    if isinstance(model, Coated) and shape != "sphere":
+        raise InputError(f"shape: expected {', '.join(SHAPES)}, got {shape}")
+    if is_pearl(model) and shape != "sphere":
         raise InputError(f"shape: expected sphere for a pearl, got {shape}")
     view = SHAPES[shape]
     lights, camera = lights or view.lights, camera or view.camera
     with torch.no_grad():
-        if isinstance(model, RadenBrdf) and shape == "plate":
+        if shape == "plate":
             image = shade_plate(model, plate(size, camera, samples=samples), lights)
+        elif shape == "board":
+            members = model if isinstance(model, Palette) else Palette([model])
+            image = shade_materials(members, lights, size, camera=camera, samples=samples)
+            samples = 1
         else:
-            image = shade(model, sphere(size, camera, samples=samples), lights)
+            ball = sphere(size, camera, samples=samples)
+            if isinstance(model, Palette):
+                ball = replace(ball, material=_sectors(size * samples, len(model)))
+            image = shade(model, ball, lights)
     warn_if_black(image, lights)
     return average_samples(image, samples)
 
 
+def _sectors(size: int, count: int) -> Tensor:
+    """`[1, 1, size, size]`: the number of each pixel's sector around the middle."""
+    across = torch.linspace(-1, 1, size)
+    turn = torch.atan2(across, -across[:, None]) / (2 * torch.pi) % 1  # 0 at the top
+    return (turn * count).long().clamp(max=count - 1)[None, None]
+
+
 def render_gbuffer(
-    model: RadenBrdf | Coated,
+    model: Reflection,
     path: Path,
     lights: Sequence[Light] | None = None,
     reading: GBufferReading = USUAL,
@@ -106,7 +128,7 @@ def render_gbuffer(
     tolerance: float = 0.0,
 ) -> Tensor:
     """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `read_gbuffer` and `shade`."""
-    gbuffer = read_gbuffer(path, **vars(reading))
+    gbuffer = read_gbuffer(path, palette=_palette(model), **vars(reading))
     lights = lights or SHAPES["sphere"].lights
     with torch.no_grad():
         image = shade(model, gbuffer, lights, tolerance=tolerance)
@@ -114,8 +136,12 @@ def render_gbuffer(
     return image
 
 
+def _palette(model: Reflection) -> Palette | None:
+    return model if isinstance(model, Palette) else None
+
+
 def render_gbuffer_file(
-    model: RadenBrdf | Coated,
+    model: Reflection,
     path: Path,
     output: Path,
     lights: Sequence[Light] | None = None,
@@ -136,7 +162,7 @@ def render_gbuffer_file(
     Returns:
         The exposure in stops: what was asked for, or 0.
     """
-    scene = GBufferFile(path, reading, memory=memory)
+    scene = GBufferFile(path, reading, memory=memory, palette=_palette(model))
     lamps = lights or SHAPES["sphere"].lights
     shaded = shade_file(model, scene, lamps, output, display=display, tolerance=tolerance)
     with closing(shaded) as bands:
@@ -148,7 +174,7 @@ def render_gbuffer_file(
 def save_picture(
     image: Tensor,
     path: str | os.PathLike[str],
-    model: RadenBrdf | Coated,
+    model: Reflection,
     *,
     display: Display = AS_IT_IS,
 ) -> float:
@@ -162,18 +188,20 @@ def save_picture(
     return display.write(image, path, caption_of(model))
 
 
-def load_material(model: Path) -> RadenBrdf | Coated:
-    """The model of a file, or "pearl": a simulated one, where there is no file of that name."""
-    return pearl() if str(model) == PEARL and not model.exists() else load_model(model)
+def load_material(model: Path) -> Reflection:
+    """The material of a file, or "pearl": a simulated one, where there is no file of that name."""
+    found: Reflection = pearl() if str(model) == PEARL and not model.exists() else load_model(model)
+    return found
 
 
-def caption_of(model: RadenBrdf | Coated) -> str | None:
-    """What a picture of this model has to say of itself."""
-    if isinstance(model, Coated):
-        return f"simulated specimen: {PEARL}"
-    if not model.provenance.simulated:
+def caption_of(model: Reflection) -> str | None:
+    """What a picture of this model, or of these, has to say of itself."""
+    simulated = [m.provenance.sample for m in models_of(model) if m.provenance.simulated]
+    if is_pearl(model):
+        simulated = [PEARL]
+    if not simulated:
         return None
-    return f"simulated specimen: {model.provenance.sample}"
+    return f"simulated specimen: {', '.join(dict.fromkeys(simulated))}"
 
 
 def relight_files(
@@ -214,24 +242,49 @@ def relight_files(
     """
     targets = _targets(photos, output)
     known = original if isinstance(original, Path) else None
-    check_outputs(*targets, inputs=(*photos, normals, mask, model, known))
+    check_outputs(*targets, inputs=(*photos, normals, mask, model, known, reading.material))
     loaded = load_model(model)
-    normal = read_normal_map(normals, green, **vars(reading))
+    normal = read_normal_map(normals, green, **vars(replace(reading, material=None)))
     coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
+    material = _material(loaded, reading.material, normal, coverage)
     gain = None if exposure_ev is None else 2.0**exposure_ev
     for path, target in zip(photos, targets, strict=True):
         photo = read_photograph(path, coded=coded)
         check_photograph(photo, target)
         before = None if original is None else [_original_lamp(original, path)]
         scene = (loaded, photo.linear, normal, coverage)
-        relit = _relit(scene, lights, layout, gain, before)
+        relit = _relit(scene, material, lights, layout, gain, before)
         alpha = _alpha_of(photo, path, layout, len(lights))
         write_photograph(replace(photo, linear=relit, alpha=alpha), target, caption_of(loaded))
     return targets
 
 
+def _material(
+    model: Reflection, path: Path | None, normal: Tensor, coverage: Tensor
+) -> Tensor | None:
+    """What a palette's map says, where there is one."""
+    if not isinstance(model, Palette):
+        if path is not None:
+            raise InputError(
+                f"{path}: material: expected a palette to choose of, got the model of one "
+                "measurement"
+            )
+        return None
+    if path is None:
+        if len(model) == 1:
+            return None
+        raise InputError(
+            f"material: expected a map that says which of {', '.join(model.names)} each pixel "
+            "shows, got none; give `material`"
+        )
+    size = cast(tuple[int, int], tuple(normal.shape[2:]))
+    fits = coverage.shape[2:] == normal.shape[2:]  # else it is refused with the photograph's size
+    return read_material(path, model, size, coverage if fits else None)
+
+
 def _relit(
-    scene: tuple[RadenBrdf, Tensor, Tensor, Tensor],
+    scene: tuple[Reflection, Tensor, Tensor, Tensor],
+    material: Tensor | None,
     lights: Sequence[Light],
     layout: Layout,
     gain: float | None,
@@ -240,8 +293,8 @@ def _relit(
     """`[1, 3, …]`; the scene is a model, a photograph, normals and a mask, as for `relight`."""
     with torch.no_grad():
         if layout == "picture":
-            return relight(*scene, lights, gain=gain, original=original)
-        tiles = relit_under(*scene, lights, gain=gain, original=original)
+            return relight(*scene, lights, gain=gain, original=original, material=material)
+        tiles = relit_under(*scene, lights, gain=gain, original=original, material=material)
         if layout == "strip":
             return tiled(tiles, len(lights))
         # lamps of another kind were refused: they need positions

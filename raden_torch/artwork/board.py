@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
-from raden_torch.artwork.cutting import cut
+from raden_torch.artwork.cutting import PieceMaps, cut
 from raden_torch.artwork.flowers import butterfly, chrysanthemum, leaf
 from raden_torch.artwork.lacquer import Lacquer
+from raden_torch.artwork.layers import HABITS
 from raden_torch.artwork.pieces import ShellPiece
+from raden_torch.artwork.plate import is_simulated_shell
 from raden_torch.brdf.materials.coat import Coated
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.runtime import models_of
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
-from raden_torch.brdf.shading.lights import DirectionalLight
+from raden_torch.brdf.shading.lights import DirectionalLight, Light
 from raden_torch.brdf.shading.shade import shade
 from raden_torch.brdf.shading.sphere_gbuffer import average_samples
 
-_CAMERA = (0.0, -2.6, 5.0)
+CAMERA = (0.0, -2.6, 5.0)
 _DOME = 0.04  # the board is a little domed, as lids are
 _HEIGHT = 1.44
 
@@ -65,34 +70,96 @@ def shade_board(
         samples: rays per pixel along each side; edges are smooth without.
     """
     shells = list(models)
+    board = _board(shells, width, samples)
+    scales = {name: tuple(sorted(own)) for name, own in models.items()}
+    weights = board.maps.weights(scales) * board.maps.coverage
+    lights = broad_light()
+    image = _urushi(board, lights, CAMERA, board.maps.coverage.float()[None])
+    layers = _normal(board.slope + board.maps.layer_slope)
+    each = [(name, scale) for name, own in scales.items() for scale in own]
+    for weight, (name, scale) in zip(weights.float(), each, strict=True):
+        seen = GBuffer(layers, position=board.position, camera=CAMERA, mask=weight[None, None])
+        image = image + shade(models[name][scale], seen, lights)
+    return average_samples(image, samples)
+
+
+def shade_materials(
+    palette: Palette,
+    lights: Sequence[Light],
+    width: int = 1400,
+    *,
+    camera: tuple[float, float, float] = CAMERA,
+    samples: int = 1,
+) -> Tensor:
+    """`[1, 3, H, width]` scene-linear RGB of a board: the motif in each material of a palette.
+
+    Shells that have no habit of their own (by the member's name) are cut like yakogai; what is no
+    shell does not lean. A simulated shell has the gloss of the coat above it.
+    """
+    habits = [name if name in HABITS else "yakogai" for name in palette.names]
+    board = _board(habits, width, samples)
+    x = board.position[:, :1]
+    panel = (x + len(palette) / 2).long().clamp(0, len(palette) - 1)
+    is_shell = torch.tensor([bool(models_of(member)) for member in palette])
+    lean = board.maps.layer_slope * is_shell[panel[0]]
+    inlaid = GBuffer(
+        _normal(board.slope + lean),
+        position=board.position,
+        camera=camera,
+        mask=board.maps.coverage.float()[None],
+        material=panel,
+    )
+    glossy = torch.tensor([is_simulated_shell(member) for member in palette])[panel]
+    image = _urushi(board, lights, camera, board.maps.coverage.float()[None], glossy)
+    return average_samples(image + shade(palette, inlaid, lights), samples)
+
+
+@dataclass(frozen=True, eq=False)
+class _Board:
+    """Slopes `[2, H, W]`, positions `[1, 3, H, W]` and the maps of the pieces."""
+
+    slope: Tensor
+    position: Tensor
+    maps: PieceMaps
+
+
+def _board(shells: Sequence[str], width: int, samples: int) -> _Board:
     pixel = len(shells) / (width * samples)
     across = (torch.arange(width * samples, dtype=torch.float64) + 0.5) * pixel - len(shells) / 2
     rows = round(_HEIGHT * width / len(shells)) * samples
     down = _HEIGHT / 2 - (torch.arange(rows, dtype=torch.float64) + 0.5) * pixel
     y, x = torch.meshgrid(down, across, indexing="ij")
     maps = cut(list(board_pieces(shells)), x, y, pixel, seed=1)
-    scales = {name: tuple(sorted(own)) for name, own in models.items()}
-    weights = maps.weights(scales) * maps.coverage
     slope = torch.stack([-_DOME * x, -_DOME * y])
-    position = torch.stack([x, y, torch.zeros_like(x)]).float()[None]
-    lights, coverage = broad_light(), maps.coverage.float()[None]
-    image = _lacquer(Lacquer(), slope, position, lights) * (1 - coverage)
-    image = image + _lacquer(Lacquer(base=(0.0, 0.0, 0.0)), slope, position, lights) * coverage
-    layers = _normal(slope + maps.layer_slope)
-    each = [(name, scale) for name, own in scales.items() for scale in own]
-    for weight, (name, scale) in zip(weights.float(), each, strict=True):
-        seen = GBuffer(layers, position=position, camera=_CAMERA, mask=weight[None, None])
-        image = image + shade(models[name][scale], seen, lights)
-    return average_samples(image, samples)
+    return _Board(slope, torch.stack([x, y, torch.zeros_like(x)]).float()[None], maps)
+
+
+def _urushi(
+    board: _Board,
+    lights: Sequence[Light],
+    camera: tuple[float, float, float],
+    coverage: Tensor,
+    glossy: Tensor | float = 1.0,
+) -> Tensor:
+    """The lacquer between the pieces, and the gloss above those that have it."""
+    ground, gloss = (
+        _lacquer(lacquer, board.slope, board.position, lights, camera)
+        for lacquer in (Lacquer(), Lacquer(base=(0.0, 0.0, 0.0)))
+    )
+    return ground * (1 - coverage) + gloss * (coverage * glossy)
 
 
 def _lacquer(
-    lacquer: Coated, slope: Tensor, position: Tensor, lights: Sequence[DirectionalLight]
+    lacquer: Coated,
+    slope: Tensor,
+    position: Tensor,
+    lights: Sequence[Light],
+    camera: tuple[float, float, float],
 ) -> Tensor:
     """The board all in lacquer. It is smooth: one sample in 8 x 8 will do."""
     thin = torch.nn.functional.avg_pool2d
     normal, place = _normal(thin(slope, 8, ceil_mode=True)), thin(position, 8, ceil_mode=True)
-    image = shade(lacquer, GBuffer(normal, position=place, camera=_CAMERA), lights)
+    image = shade(lacquer, GBuffer(normal, position=place, camera=camera), lights)
     size = slope.shape[-2:]
     return torch.nn.functional.interpolate(image, size=size, mode="bilinear")
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from torch import Tensor
 
-from raden_torch.artwork.cutting import cut
+from raden_torch.artwork.cutting import PieceMaps, cut
 from raden_torch.artwork.flowers import chrysanthemum, leaf, slips
 from raden_torch.artwork.pieces import ShellPiece
 
@@ -22,19 +22,15 @@ _LEAVES = (
 )
 
 
-def inlay(x: Tensor, y: Tensor, pixel: float, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Coverage and lean of the shell pieces on a plate that spans −1…1.
+def inlay(x: Tensor, y: Tensor, pixel: float, seed: int = 0) -> PieceMaps:
+    """The maps of the shell pieces on a plate that spans −1…1.
 
     Args:
         x, y: `[H, W]` coordinates on the plate.
         pixel: size of a sample in the same unit; edges are a sample wide.
         seed: draws the shell that the pieces are cut from.
-
-    Returns:
-        `[H, W]` coverage 0…1, and `[2, H, W]` slopes by which the pieces' film layers lean.
     """
-    maps = cut(list(pieces()), x, y, pixel, seed=seed)
-    return maps.coverage[0], maps.layer_slope
+    return cut(list(pieces()), x, y, pixel, seed=seed)
 
 
 def pieces(shell: str = "yakogai") -> Iterator[ShellPiece]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from raden_torch.artwork.lacquer import Lacquer
 from raden_torch.artwork.motif import inlay
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light
@@ -27,10 +29,12 @@ class InlaidPlate:
     Attributes:
         shell: the pieces of raden; their normals lean piece by piece.
         lacquer: the urushi around them, one smooth surface.
+        piece: `[1, 1, H, W]`, the number of the piece that lies there, 0 where there is none.
     """
 
     shell: GBuffer
     lacquer: GBuffer
+    piece: Tensor
 
 
 def plate(
@@ -53,7 +57,8 @@ def plate(
     x, y, z = _on_dome(eye, rays)
     pixel = 2 * half_width * float(eye.norm()) / (size * samples)
     silhouette = (_edge_distance(x, y) / pixel + 0.5).clamp(0, 1)
-    coverage, lean = inlay(x, y, pixel)
+    maps = inlay(x, y, pixel)
+    coverage, lean = maps.coverage[0], maps.layer_slope
     slope = torch.stack(_dome_slope(x, y))
     smooth, cut = _normal(slope), _normal(slope + lean)
     position = torch.stack([x, y, z]).float()[None]
@@ -64,19 +69,31 @@ def plate(
     return InlaidPlate(
         shell=layer(cut, silhouette * coverage),
         lacquer=layer(smooth, silhouette * (1 - coverage)),
+        piece=maps.piece.clamp(min=0)[None],
     )
 
 
-def shade_plate(model: RadenBrdf, plate: InlaidPlate, lights: Sequence[Light]) -> Tensor:
+def shade_plate(model: Reflection, plate: InlaidPlate, lights: Sequence[Light]) -> Tensor:
     """Scene-linear RGB of the plate: shell by the model, urushi by `Lacquer`.
 
     A simulated shell is the light from its films and body; the mirror image in the coat above it is
-    added here. A measured shell was measured through its coat.
+    added here. A measured shell was measured through its coat. Of a palette, the pieces show the
+    materials in turn.
     """
-    image = shade(model, plate.shell, lights) + shade(Lacquer(), plate.lacquer, lights)
-    if model.provenance.simulated:
-        image = image + shade(Lacquer(base=(0.0, 0.0, 0.0)), plate.shell, lights)
+    members = model if isinstance(model, Palette) else Palette([model])
+    material = plate.piece % len(members)
+    shell = replace(plate.shell, material=material)
+    image = shade(members, shell, lights) + shade(Lacquer(), plate.lacquer, lights)
+    coated = torch.tensor([is_simulated_shell(member) for member in members])
+    if bool(coated.any()):
+        gloss = shade(Lacquer(base=(0.0, 0.0, 0.0)), plate.shell, lights)
+        image = image + gloss * coated[material]
     return image
+
+
+def is_simulated_shell(material: Reflection) -> bool:
+    """A shell as film optics make it, without a coat."""
+    return isinstance(material, RadenBrdf) and material.provenance.simulated
 
 
 def _dome(x: Tensor, y: Tensor) -> Tensor:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -14,7 +15,7 @@ from raden_torch.bench.naive_form import naive
 from raden_torch.brdf.model import simd
 from raden_torch.brdf.model.layout_choice import NODES, choose_layout
 from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.export.forms import form_of
+from raden_torch.export.forms import FitForm, form_of
 
 PAPER, FIT, RUNTIME = "paper", "fit form", "runtime form"
 FORMS = (PAPER, FIT, RUNTIME)
@@ -109,7 +110,7 @@ def with_nodes(model: RadenBrdf, nodes: int) -> RadenBrdf:
 
 def by_fit_form(model: RadenBrdf) -> Shader:
     """The model by eq. (2) itself, 0 below the horizon."""
-    form = form_of(model, "fit")
+    form = cast(FitForm, form_of(model, "fit"))
 
     @torch.no_grad()
     def shader(normal: Tensor, light: Tensor, view: Tensor) -> Tensor:

@@ -82,7 +82,7 @@ capture = App(
 _COMMANDS = (
     (
         "model_commands:fit",
-        "Fit a model to a measurement and report how well.",
+        "Fit a model to a measurement, or a palette to several of one shell, and report how well.",
         "raden fit shell.csv -o shell.safetensors",
     ),
     (
@@ -170,6 +170,11 @@ _CAPTURE_COMMANDS = (
         "Measure a BRDF: every lit pixel of a sphere, plane or cylinder is a reading.",
         "raden capture brdf lamp*.tif --shape sphere --mask sample.png --lights lights.json "
         "--white-mask white.png --white-factor 98.5 -o shell.csv",
+    ),
+    (
+        "segment_command:segment",
+        "Propose which pixels of a photographed inlay show which shell: a palette's map.",
+        "raden capture segment lamp*.png --shells 3 -o map.png",
     ),
     (
         "simulated_photographs_command:simulate",

@@ -148,9 +148,9 @@ def load_either(path: Path) -> BrdfMeasurement | RadenBrdf:
 
     name = kind_of(path).name
     if name == "a model":
-        from raden_torch.brdf.files.model_file import load_model
+        from raden_torch.brdf.files.model_file import load_brdf
 
-        return load_model(path)
+        return load_brdf(path)
     if name != "a measurement":
         raise InputError(f"{path}: expected a measurement or a model, got {name}")
     from raden_torch.capture.importers import load_measurement

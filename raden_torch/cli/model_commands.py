@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from raden_torch.cli.option_types import ModelFile, Triple, argument, output
+from raden_torch.cli.option_types import ModelFile, Names, Triple, argument, files, output
 from raden_torch.cli.status import working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
 
 if TYPE_CHECKING:
     from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
+    from raden_torch.brdf.fitting.fit import FitResult
+    from raden_torch.measurement import BrdfMeasurement
 
 
 @Parameter(name="*")
@@ -61,32 +64,84 @@ class FitOptions:
 
 
 def fit(
-    measurement: Annotated[Path, argument("a measurement file; its format is detected")],
-    /,
-    *,
+    *measurements: Annotated[
+        Path,
+        files("a measurement file; its format is detected. Several points of a shell: a palette"),
+    ],
     output: Annotated[Path, output("the model file to write")],
+    names: Annotated[
+        Names, Parameter(help="names of a palette's members; by default those of the files")
+    ] = (),
     how: FitOptions = FitOptions(),
 ) -> None:
     from raden_torch.capture.importers import load_measurement
 
-    check_output(output, (".safetensors",), inputs=(measurement, how.validation))
-    with working(f"reading {measurement.name}"):
-        loaded = load_measurement(measurement)
-        off_grid = None if how.validation is None else load_measurement(how.validation)
-    with working("fitting"):
-        from raden_torch.brdf.files.model_file import save_model
-        from raden_torch.brdf.fitting.fit import fit as fit_model
+    check_output(output, (".safetensors",), inputs=(*measurements, how.validation))
+    members = _member_names(measurements, names, how)
+    loaded = []
+    for path in measurements:
+        with working(f"reading {path.name}"):
+            loaded.append(load_measurement(path))
+    off_grid = None if how.validation is None else load_measurement(how.validation)
+    results = []
+    for path, measurement in zip(measurements, loaded, strict=True):
+        with working(f"fitting {path.name}"):
+            results.append(_fitted(path, measurement, off_grid, how, is_one=not members))
+    from raden_torch.brdf.files.model_file import save_model
+    from raden_torch.brdf.materials.palette import Palette
 
-        result = fit_model(
-            loaded,
+    if not members:
+        save_model(results[0].model, output)
+        print(f"{loaded[0]!r}\n{results[0].report}\nwrote {output}")
+        return
+    save_model(Palette([result.model for result in results], members), output)
+    for name, measurement, result in zip(members, loaded, results, strict=True):
+        print(f"{name}: {measurement!r}\n{result.report}\n")
+    print(f"a palette of {len(members)}: {', '.join(members)}\nwrote {output}")
+
+
+def _member_names(
+    measurements: Sequence[Path], names: tuple[str, ...], how: FitOptions
+) -> tuple[str, ...]:
+    """One for each measurement, or none where there is one of these."""
+    if len(measurements) == 1:
+        if names:
+            raise InputError("--names: expected with several measurements, got one")
+        return ()
+    if how.validation is not None:
+        raise InputError("--validation: expected with one measurement, whose readings it has")
+    found = names or tuple(path.name.partition(".")[0] for path in measurements)
+    if len(found) != len(measurements):
+        raise InputError(f"--names: expected {len(measurements)} names, got {len(found)}")
+    twice = [name for name in found if found.count(name) > 1]
+    if twice:
+        raise InputError(
+            f"--names: expected a different name for each measurement, got {twice[0]!r} twice"
+        )
+    return found
+
+
+def _fitted(
+    path: Path,
+    measurement: BrdfMeasurement,
+    off_grid: BrdfMeasurement | None,
+    how: FitOptions,
+    *,
+    is_one: bool,
+) -> FitResult:
+    from raden_torch.brdf.fitting.fit import fit as fit_model
+
+    try:
+        return fit_model(
+            measurement,
             diffuse=how.diffuse_part,
             interpolation=how.interpolation,
             validation=off_grid,
             assume=how.assume,
             outside=how.outside,
         )
-        save_model(result.model, output)
-    print(f"{loaded!r}\n{result.report}\nwrote {output}")
+    except InputError as error:  # of which of several?
+        raise error if is_one else InputError(f"{path}: {error}") from None
 
 
 @Parameter(name="*")
@@ -100,6 +155,8 @@ class ExportOptions:
     """radiance, or brdf (f_r in 1/sr, gbuffer only)"""
     form: Literal["runtime", "fit"] = "runtime"
     """runtime, or fit (the paper's formula and table: slower, editable)"""
+    material: Literal["index", "weights"] = "index"
+    """what chooses of a palette: an index, or a weight of each material, a pixel"""
     opset: int = 18
     """version of the ONNX operator set"""
     fixed: bool = False
@@ -122,7 +179,7 @@ def export(
     ] = None,
     how: ExportOptions = ExportOptions(),
 ) -> None:
-    from raden_torch.brdf.files.model_file import load_model
+    from raden_torch.brdf.files.model_file import load_brdf, load_model
     from raden_torch.export.export import export_onnx
     from raden_torch.export.shading_language import LANGUAGES, export_shader
 
@@ -133,8 +190,8 @@ def export(
         from raden_torch.export.viewer_file import export_viewer
 
         _refuse_onnx_options(how, output.suffix)
-        beside = None if compare is None else load_model(compare)
-        size = export_viewer(load_model(model), output, compare=beside)
+        beside = None if compare is None else load_brdf(compare, "viewer")
+        size = export_viewer(load_brdf(model, "viewer"), output, compare=beside)
         print(f"a viewer of {size} bytes, which opens from disk\nwrote {output}")
         return
     if output.suffix == ".gltf":
@@ -147,7 +204,7 @@ def export(
         return
     if output.suffix in LANGUAGES:
         _refuse_onnx_options(how, output.suffix)
-        written = export_shader(load_model(model), output)
+        written = export_shader(load_brdf(model, f"{output.suffix} file"), output)
         print(f"{written}\nwrote {', '.join(str(file) for file in written.files)}")
         return
     with working("exporting"):
@@ -157,6 +214,7 @@ def export(
             profile=how.profile,
             output=how.quantity,
             form=how.form,
+            material=how.material,
             opset=how.opset,
             fixed=how.fixed,
         )

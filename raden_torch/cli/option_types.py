@@ -106,6 +106,13 @@ def _pair(text: str) -> tuple[str, str]:
     return name, value
 
 
+def _names(text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(name and name.isprintable() for name in names):
+        raise ValueError(f"expected names as rim,middle,eye, got {text!r}")
+    return names
+
+
 def _stops(text: str) -> float | None:
     if text == "auto":
         return None
@@ -220,6 +227,7 @@ CornersPx = Annotated[Points, _read(_corners_px, "POINTS")]
 Region = Annotated[Points, _read(_region, "POINTS")]
 Axis = Annotated[Points, _read(_axis, "POINTS")]
 LampOrFile = Annotated[tuple[float, float, float] | Path, _read(_lamp_or_file, "X,Y,Z|FILE")]
+Names = Annotated[tuple[str, ...], _read(_names, "NAME,NAME,…")]
 Lamps = Annotated[tuple[LampOption, ...], _read_all(LampOption.read, "X,Y,Z")]
 Pairs = Annotated[tuple[tuple[str, str], ...], _read_all(_pair, "NAME=VALUE")]
 

@@ -34,8 +34,7 @@ from raden_torch.packages import require
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from raden_torch.brdf.materials.coat import Coated
-    from raden_torch.brdf.model.model import RadenBrdf
+    from raden_torch.brdf.materials.surface import Reflection
     from raden_torch.brdf.shading.lights import Light
 
 
@@ -45,7 +44,8 @@ class ShapeOptions:
     """A shape to light, and how it is seen."""
 
     shape: str = "sphere"
-    """what to show: sphere, or plate (black urushi with a motif)"""
+    """what to show: sphere; plate (black urushi with a motif); board (the motif, once for each
+    material of a palette)"""
     camera: Triple | None = None
     """the camera's position x,y,z; y is up"""
     size: int = 512
@@ -53,7 +53,7 @@ class ShapeOptions:
     samples: int = 2
     """rays per pixel along each side"""
 
-    def image(self, model: RadenBrdf | Coated, lights: Sequence[Light]) -> Tensor:
+    def image(self, model: Reflection, lights: Sequence[Light]) -> Tensor:
         """`[1, 3, size, size]` scene-linear RGB."""
         from raden_torch.pictures import render_shape
 
@@ -90,7 +90,9 @@ def render(
 
     shown_by = display.display
     shown_by.check_path(output)
-    check_output(output, inputs=(model, gbuffer, around.environment))
+    check_output(output, inputs=(model, gbuffer, around.environment, exr.material))
+    if exr.material is not None and gbuffer is None:
+        raise InputError("--material: expected with --gbuffer, whose pixels it describes")
     lights = [*_lights(light), *around.lights()]
     if gbuffer is not None and output.suffix.lower() == ".exr":
         with progress("rendering") as shown:
@@ -177,7 +179,9 @@ def relight(
 
     if around.environment is not None and (how.strip or how.sheet):
         raise InputError("--strip and --sheet show one lamp each; leave out --environment")
-    used = without_other_inputs(photos, how.normals, how.mask, how.model, around.environment)
+    used = without_other_inputs(
+        photos, how.normals, how.mask, how.model, around.environment, exr.material
+    )
     surroundings = around.lights()
     lights = [*(_lights(how.light) if surroundings else how.lamps()), *surroundings]
     with working("relighting"):

@@ -56,6 +56,10 @@ class ExrOptions:
     """the normals' channels that hold x,y,z (right, up, to the viewer), with a minus where one
     points the other way: b,g,r or =r,-g,-b"""
 
+    material: Path | None = None
+    """which material of a palette each pixel shows: an .exr, or a PNG of indices from 0; by default
+    the layer "material" of the G-buffer"""
+
     @property
     def reading(self) -> GBufferReading:
         """The same for the library."""
@@ -65,7 +69,8 @@ class ExrOptions:
 
     @property
     def _fields(self) -> dict[str, Any]:
-        return {"fov_deg": self.fov_deg, "depth": self.depth, "xyz": self.xyz}
+        own = {"fov_deg": self.fov_deg, "depth": self.depth, "xyz": self.xyz}
+        return {**own, "material": self.material}
 
 
 @Parameter(name="*", group=_EXR_FILES)
@@ -74,7 +79,7 @@ class GBufferOptions(ExrOptions):
     """How an EXR is read as a G-buffer, and lit."""
 
     channels: Annotated[Pairs, Parameter(name="--channel")] = ()
-    """channels of the EXR, as normal=N or depth=Z; may be repeated"""
+    """channels of the EXR, as normal=N, depth=Z or material=IndexMA; may be repeated"""
     smooth_px: float = 0.0
     """smooth the EXR's depth over this many pixels"""
     tolerance: float = 0.0

@@ -12,7 +12,7 @@ from raden_torch import geometry
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight, directions_of
 from raden_torch.brdf.shading.shade import shade
-from raden_torch.export.forms import FitForm, Form
+from raden_torch.export.forms import FitForm, Form, Mixed, PaletteForm, RuntimeForm
 from raden_torch.export.profiles import ports
 
 REGIONS = ("general", "steep", "L near V", "any length", "L parallel to V", "not vectors")
@@ -30,6 +30,10 @@ _NUDGE = 1e-3  # radians
 _ROUNDING = 2e-6  # a side of a seam is decided by roundings within this many radians
 _EPS = torch.finfo(torch.float32).eps
 _PARALLEL = 4 * _EPS
+
+
+Chosen = RuntimeForm | FitForm | Mixed
+"""A form of every pixel."""
 
 
 @dataclass(frozen=True)
@@ -61,14 +65,19 @@ class Expected:
 
 def expected(form: Form, profile: str, output: str, inputs: dict[str, Tensor]) -> Expected:
     """The picture by the form's eager code, with what the inputs override put into it."""
-    own = _overridden(form, profile, output, inputs)
+    found = _overridden(form, profile, output, inputs)
+    own: Chosen
+    if isinstance(found, PaletteForm):
+        own = found.of_material(inputs["material" if found.by == "index" else "weights"])
+    else:
+        own = found
     with torch.no_grad():
         if profile == "scene":
             return _scene(own, inputs)
         return _gbuffer(own, output, inputs)
 
 
-def _gbuffer(form: Form, output: str, inputs: dict[str, Tensor]) -> Expected:
+def _gbuffer(form: Chosen, output: str, inputs: dict[str, Tensor]) -> Expected:
     maps = [inputs[name] for name in ("normal", "light", "view")]
     n, l, v = (geometry.normalised(m) for m in maps)  # noqa: E741
     f = form.of_unit_vectors(n, l, v)
@@ -95,7 +104,7 @@ def _gbuffer(form: Form, output: str, inputs: dict[str, Tensor]) -> Expected:
     return Expected(_masked(values, inputs), region, sine, nudge / _NUDGE, rounding)
 
 
-def _nudged(form: Form, a: Tensor, r: Tensor, t: Tensor) -> list[Tensor]:
+def _nudged(form: Chosen, a: Tensor, r: Tensor, t: Tensor) -> list[Tensor]:
     """f_r with one of the angles a little larger or smaller."""
     moves = [
         tuple(sign * _NUDGE * (i == k) for i in range(3)) for k in range(3) for sign in (1, -1)
@@ -103,7 +112,7 @@ def _nudged(form: Form, a: Tensor, r: Tensor, t: Tensor) -> list[Tensor]:
     return [form.at_angles(a + x, r + y, t + z) for x, y, z in moves]
 
 
-def _rounded(form: Form, n: Tensor, l: Tensor, v: Tensor, unit: Tensor) -> list[Tensor]:  # noqa: E741
+def _rounded(form: Chosen, n: Tensor, l: Tensor, v: Tensor, unit: Tensor) -> list[Tensor]:  # noqa: E741
     """f_r with the last bit of one component changed: of N, and of V where one was normalised."""
     moves = torch.eye(3).reshape(3, 1, 3, 1, 1) * _EPS
     moves = torch.cat([moves, -moves])
@@ -114,7 +123,7 @@ def _rounded(form: Form, n: Tensor, l: Tensor, v: Tensor, unit: Tensor) -> list[
     ]
 
 
-def _scene(form: Form, inputs: dict[str, Tensor]) -> Expected:
+def _scene(form: Chosen, inputs: dict[str, Tensor]) -> Expected:
     normal, position = inputs["normal"], inputs["position"]
     camera = inputs["camera"].expand(len(normal), 3)
     gbuffer = GBuffer(normal, position=position, camera=camera)

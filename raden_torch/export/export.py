@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from raden_torch.brdf.materials.runtime import models_of
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError, check_type
 from raden_torch.export import onnx_file
@@ -30,25 +32,31 @@ OPSETS = range(18, 22)
 
 
 def export_onnx(
-    model: RadenBrdf,
+    model: Reflection,
     path: str | os.PathLike[str],
     *,
     profile: str = "gbuffer",
     output: str = "radiance",
     form: str = "runtime",
+    material: str = "index",
     opset: int = onnx_file.OPSET,
     fixed: bool = False,
 ) -> ExportReport:
     """Write a model as an ONNX shader, once ONNX Runtime has given torch's picture with it.
 
     Args:
-        model: float32 or float64, on the CPU; the file computes in float32.
+        model: float32 or float64, on the CPU; the file computes in float32. A `RadenBrdf`, or
+            another material of the three angles (`Coated`, …) as one table; or a `Palette`, of
+            which a further input chooses for each pixel.
         path: the `.onnx` file to write.
         profile: "gbuffer": normal, light and view maps; "scene": normals, positions, a camera and
             any number of lights. See docs/export.md.
         output: "radiance" (scene-linear RGB) or "brdf" (f_r in 1/sr; gbuffer only).
         form: "runtime": the table over the whole hemisphere that the model itself is read through;
             "fit": the paper's eq. (2), whose diffuse parameters and gains are inputs, and slower.
+        material: of a palette: "index", the input `material` `[B, 1, H, W]`, whole numbers; or
+            "weights", the input `weights` `[B, K, H, W]`, which evaluates every material for every
+            pixel (gbuffer only).
         opset: of the ONNX operators; the oldest, 18, runs in most programs.
         fixed: the form's parameters are constants. Runtimes then pack the table once, not at every
             call, which pays in small pictures and tiles; no other shell can be shown by the file.
@@ -68,13 +76,16 @@ def export_onnx(
         >>> report.profile, report.opset, [runtime.name for runtime in report.runtimes]
         ('gbuffer', 18, ['onnxruntime'])
     """
-    check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
+    if not callable(getattr(model, "of_unit_vectors", None)):
+        hint = "load_model reads one from a file; fit(…).model is one"
+        check_type("model", model, RadenBrdf, hint)
     check_profile(profile, output)
     if opset not in OPSETS:
         raise InputError(f"opset: expected {OPSETS[0]} to {OPSETS[-1]}, got {opset}")
     target = check_output(path, (".onnx",))
-    _check_exportable(model)
-    made = form_of(model, form)
+    for own in models_of(model):
+        _check_exportable(own)
+    made = form_of(model, form, material)
     require("exported shaders", "export")
     graph = _graph(model, made, profile, output, opset)
     if fixed:
@@ -126,7 +137,7 @@ def verify_onnx(
     return report
 
 
-def _graph(model: RadenBrdf, form: Form, profile: str, output: str, opset: int) -> onnx.ModelProto:
+def _graph(model: Reflection, form: Form, profile: str, output: str, opset: int) -> onnx.ModelProto:
     from raden_torch.export.shaders import Shader
     from raden_torch.export.trace import trace
 

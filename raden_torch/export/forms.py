@@ -7,18 +7,25 @@ becomes inputs of the graph.
 from __future__ import annotations
 
 import copy
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
 
 from raden_torch import geometry
-from raden_torch.brdf.files.model_file import assemble
+from raden_torch.brdf.files.model_file import assemble, described
+from raden_torch.brdf.materials.one_table import one_table
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import RadenBrdf, equation_2
 from raden_torch.brdf.model.runtime_table import RuntimeLayout, address_of_angles, read, read_at
 from raden_torch.errors import InputError
 
 FORMS = ("runtime", "fit")
+CHOICES = ("index", "weights")
+"""How a palette's map says which of its materials a pixel shows."""
 GAINS = ("diffuse_gain", "specular_gain")
 
 
@@ -33,7 +40,7 @@ class RuntimeForm(nn.Module):
         if list(table.shape) != wanted:
             raise InputError(f"table: expected shape {wanted}, got {list(table.shape)}")
         self.register_buffer("table", table)
-        self.warp = layout.warp
+        self.layout, self.warp = layout, layout.warp
 
     def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
         """f_r `[B, 3, H, W]` in 1/sr, as `RadenBrdf.of_unit_vectors`."""
@@ -78,32 +85,125 @@ class FitForm(nn.Module):
         return geometry.working_dtype(*maps, *self.parameters())
 
 
-Form = RuntimeForm | FitForm
+class PaletteForm(nn.Module):
+    """The runtime tables of a palette's members, of which a map chooses.
+
+    Attributes:
+        by: "index" or "weights": what the map holds.
+    """
+
+    def __init__(self, members: Sequence[RuntimeForm], by: str) -> None:
+        super().__init__()
+        self.members = nn.ModuleList(members)
+        self.by = by
+
+    @property
+    def each(self) -> list[RuntimeForm]:
+        """The members."""
+        return [cast(RuntimeForm, member) for member in self.members]
+
+    def of_material(self, material: Tensor) -> Mixed:
+        """The form with a map: `[B, 1, H, W]` indices, rounded, or `[B, K, H, W]` weights."""
+        if self.by == "index":
+            numbers = torch.arange(len(self.members), dtype=material.dtype).view(-1, 1, 1)
+            material = ((material + 0.5).floor() == numbers).to(material.dtype)
+        return Mixed(self, material)
 
 
-def form_of(model: RadenBrdf, name: str) -> Form:
+class Mixed(nn.Module):
+    """The members of a palette by weights `[B, K, H, W]`."""
+
+    weights: Tensor
+
+    def __init__(self, palette: PaletteForm, weights: Tensor) -> None:
+        super().__init__()
+        self.each = palette.each
+        self.register_buffer("weights", weights)
+
+    def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
+        """f_r `[B, 3, H, W]` in 1/sr."""
+        return self._sum([member.of_unit_vectors(n, l, v) for member in self.each])
+
+    def at_angles(self, incidence: Tensor, receiving: Tensor, tilt: Tensor) -> Tensor:
+        """f_r by angles."""
+        return self._sum([m.at_angles(incidence, receiving, tilt) for m in self.each])
+
+    def working_dtype(self, *maps: Tensor) -> torch.dtype:
+        """float64 where a map is, else float32."""
+        return geometry.working_dtype(*maps, self.weights)
+
+    def _sum(self, each: list[Tensor]) -> Tensor:
+        shares = self.weights.split(1, geometry.XYZ_DIM)
+        return torch.stack([f * w for f, w in zip(each, shares, strict=True)]).sum(0)
+
+
+Form = RuntimeForm | FitForm | PaletteForm
+
+
+def form_of(model: Reflection, name: str, by: str = "index") -> Form:
     """A model's form by name, in float32, without gradients.
 
+    Args:
+        by: of a palette: "index" or "weights".
+
     Raises:
-        InputError: no such form.
+        InputError: no such form; the fit form of another material than a `RadenBrdf`; a material
+            that one table cannot hold.
     """
     if name not in FORMS:
         raise InputError(f"form: expected one of {', '.join(FORMS)}, got {name!r}")
+    if by not in CHOICES:
+        raise InputError(f"material: expected one of {', '.join(CHOICES)}, got {by!r}")
+    if not isinstance(model, RadenBrdf):
+        if name == "fit":
+            raise InputError(
+                "form: expected runtime, the only one of a palette or a coat, got 'fit'"
+            )
+        if isinstance(model, Palette):
+            members = zip(model.names, model, strict=True)
+            return PaletteForm([_in_one_table(m, f"palette: {n}") for n, m in members], by)
+        return _in_one_table(model, "model")
     own = copy.deepcopy(model).float().requires_grad_(False).eval()
     if name == "fit":
         return FitForm(own)
     return RuntimeForm(own.runtime_table().clone(), own.layout)
 
 
+def _in_one_table(material: Reflection, where: str) -> RuntimeForm:
+    baked = one_table(material, where)
+    return RuntimeForm(baked.values.clone(), baked.layout)
+
+
 def form_from(name: str, about: dict[str, Any], tensors: dict[str, Tensor]) -> Form:
-    """A form again, from what `model_file.describe` says of the model, and its own `state_dict`.
+    """A form again, from what `described` says of the model, and its own `state_dict`.
 
     Raises:
         InputError, KeyError, TypeError, ValueError: the two do not make one.
     """
+    if name == "palette":
+        members = [
+            RuntimeForm(tensors[f"members.{place}.table"], _layout(own))
+            for place, own in enumerate(about["members"])
+        ]
+        if not members or about["by"] not in CHOICES:
+            raise InputError("the palette inside is damaged: no members, or no choice of them")
+        return PaletteForm(members, about["by"])
     if name == "runtime":
-        u, v, w = (int(n) for n in about["runtime"]["shape"])
-        c, k = (float(x) for x in about["runtime"]["warp"])
-        return RuntimeForm(tensors["table"], RuntimeLayout((u, v, w), (c, k)))
+        return RuntimeForm(tensors["table"], _layout(about["runtime"]))
     gains = {gain: float(tensors.pop(gain)) for gain in GAINS if gain in tensors}
     return form_of(assemble(about | gains, tensors), name)
+
+
+def description(model: Reflection, form: Form) -> dict[str, Any]:
+    """What `form_from` needs to know, and what the model is made of, as plain JSON values."""
+    about = described(model)[0]
+    if isinstance(form, PaletteForm):
+        layouts = [asdict(member.layout) for member in form.each]
+        return about | {"members": layouts, "by": form.by}
+    return about if not isinstance(form, RuntimeForm) else about | {"runtime": asdict(form.layout)}
+
+
+def _layout(about: dict[str, Any]) -> RuntimeLayout:
+    u, v, w = (int(n) for n in about["shape"])
+    c, k = (float(x) for x in about["warp"])
+    return RuntimeLayout((u, v, w), (c, k))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,10 +12,20 @@ import torch
 from torch import Tensor
 
 import raden_torch
-from raden_torch.brdf.files.model_file import COLOUR, QUANTITY, describe
+from raden_torch.brdf.files.model_file import COLOUR, QUANTITY
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.runtime import models_of
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
-from raden_torch.export.forms import FitForm, Form, RuntimeForm, form_from
+from raden_torch.export.forms import (
+    FitForm,
+    Form,
+    PaletteForm,
+    RuntimeForm,
+    description,
+    form_from,
+)
 from raden_torch.export.profiles import GraphInput, output_doc, ports
 from raden_torch.export.runtimes import one_line
 from raden_torch.export.trace import PUBLIC
@@ -45,7 +55,7 @@ _INVALID = (
 
 
 def finished(
-    graph: onnx.ModelProto, model: RadenBrdf, form: Form, profile: str, output: str
+    graph: onnx.ModelProto, model: Reflection, form: Form, profile: str, output: str
 ) -> onnx.ModelProto:
     """The traced graph with names, texts and defaults, and nothing of the machine that made it."""
     import onnx
@@ -122,17 +132,18 @@ def form_inside(graph: onnx.ModelProto) -> Form:
 
 
 def _metadata(
-    model: RadenBrdf, form: Form, inputs: list[GraphInput], profile: str, output: str
+    model: Reflection, form: Form, inputs: list[GraphInput], profile: str, output: str
 ) -> dict[str, str]:
     """All texts but the report of the check, which comes last."""
-    about = model.provenance
+    models = models_of(model)
+    sources = [own.provenance for own in models]
     names = {p.name: p.parameter for p in inputs if p.parameter is not None}
     tensors = {p.parameter: p.default for p in inputs if p.parameter and p.default is not None}
     return {
         "format": FORMAT,
         "format_version": str(FORMAT_VERSION),
         "library": f"raden_torch {raden_torch.__version__}",
-        "form": "fit" if isinstance(form, FitForm) else "runtime",
+        "form": _FORMS[type(form)],
         "profile": profile,
         "output": output,
         "quantity": QUANTITY if output == "brdf" else "radiance, sum of f_r E cos(theta_i)",
@@ -141,21 +152,33 @@ def _metadata(
         "vector_convention": _VECTORS,
         "angle_convention": _ANGLES,
         "table_address": _address(form),
-        "valid_range": _valid_range(model),
-        "outside_valid_range": f"{_beyond(model)}; {_INVALID}",
+        "valid_range": _each(_valid_range(own) for own in models) or "all angles (a formula)",
+        "outside_valid_range": f"{_each(_beyond(own) for own in models) or 'none'}; {_INVALID}",
         "optional_inputs": ", ".join(p.name for p in inputs if p.default is not None),
-        "sample": about.sample,
-        "instrument": about.instrument,
-        "simulated": "true" if about.simulated else "false",
-        "measurement_sha256": about.measurement_sha256,
+        "sample": _each(about.sample for about in sources),
+        "instrument": _each(about.instrument for about in sources),
+        "simulated": "true" if any(about.simulated for about in sources) else "false",
+        "measurement_sha256": _each(about.measurement_sha256 for about in sources),
+        **({"materials": json.dumps(model.names)} if isinstance(model, Palette) else {}),
         "parameters": json.dumps(names),
         "parameters_sha256": _digest(tensors),
-        "model": json.dumps(describe(model), default=float),
+        "model": json.dumps(description(model, form), default=float),
     }
+
+
+_FORMS = {FitForm: "fit", RuntimeForm: "runtime", PaletteForm: "palette"}
+
+
+def _each(texts: Iterable[str]) -> str:
+    """One text for several models; what they share, once."""
+    return "; ".join(dict.fromkeys(texts))
 
 
 def _address(form: Form) -> str:
     """Where a geometry lies in the table."""
+    if isinstance(form, PaletteForm):
+        own = (f"table_{place}: {_address(member)}" for place, member in enumerate(form.each))
+        return "; ".join(own)
     if not isinstance(form, RuntimeForm):
         return "incidence, receiving and tilt, as the model text says"
     c, k = form.warp
@@ -167,7 +190,11 @@ def _address(form: Form) -> str:
     )
 
 
-def _about_in_words(model: RadenBrdf) -> str:
+def _about_in_words(model: Reflection) -> str:
+    if isinstance(model, Palette):
+        return f"Reflection of a palette of {len(model)}: {', '.join(model.names)}"
+    if not isinstance(model, RadenBrdf):
+        return f"Reflection of a {type(model).__name__}, a simulated material"
     kind = "simulated specimen" if model.provenance.simulated else "measured specimen"
     return f"Reflection of {model.provenance.sample or 'an unnamed sample'} ({kind})"
 

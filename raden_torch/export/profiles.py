@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from raden_torch.errors import InputError
-from raden_torch.export.forms import Form
+from raden_torch.export.forms import Form, PaletteForm
 
 PROFILES = ("gbuffer", "scene")
 OUTPUTS = ("radiance", "brdf")
@@ -73,8 +74,14 @@ def ports(form: Form, profile: str, output: str) -> list[GraphInput]:
     """The inputs in their order: required ones first, then those with a default."""
     check_profile(profile, output)
     if profile == "scene":
-        return [*_scene_ports(), _mask_port(), _exposure_port(), *_parameter_ports(form)]
-    light = [*_gbuffer_ports(), _mask_port()]
+        if isinstance(form, PaletteForm) and form.by == "weights":
+            raise InputError(
+                "material: expected index with the scene profile, got 'weights'; use the gbuffer "
+                "profile"
+            )
+        required = [*_scene_ports(), *_material_port(form)]
+        return [*required, _mask_port(), _exposure_port(), *_parameter_ports(form)]
+    light = [*_gbuffer_ports(), *_material_port(form), _mask_port()]
     if output == "radiance":
         light += [_irradiance_port(), _exposure_port()]
     return light + _parameter_ports(form)
@@ -89,6 +96,9 @@ def output_doc(output: str) -> str:
 
 def port_name(parameter: str) -> str:
     """The name of the input that replaces a parameter or buffer of the model."""
+    member = re.fullmatch(r"members\.(\d+)\.table", parameter)
+    if member is not None:
+        return f"table_{member[1]}"
     return _PARAMETERS.get(parameter, (parameter.replace(".", "_"), ""))[0]
 
 
@@ -127,6 +137,18 @@ def _scene_ports() -> list[GraphInput]:
     ]
 
 
+def _material_port(form: Form) -> list[GraphInput]:
+    """What chooses of a palette; nothing to choose elsewhere."""
+    if not isinstance(form, PaletteForm):
+        return []
+    count = len(form.members)
+    if form.by == "weights":
+        doc = f"how much of each of {count} materials a pixel shows; they should sum to 1"
+        return [GraphInput("weights", ("batch", count, "height", "width"), doc)]
+    doc = f"which material a pixel shows, 0 to {count - 1}, rounded; it becomes 0 for any other"
+    return [GraphInput("material", ("batch", 1, "height", "width"), doc)]
+
+
 def _mask_port() -> GraphInput:
     return _map("mask", _MASK, 1, torch.ones(1, 1, 1, 1))
 
@@ -147,7 +169,8 @@ def _parameter_ports(form: Form) -> list[GraphInput]:
     """Every tensor of the form, so that one file serves many shells."""
     found = []
     for name, tensor in form.state_dict().items():
-        doc = _PARAMETERS.get(name, ("", f"{name} of the model"))[1]
+        known = _PARAMETERS.get("table" if name.endswith(".table") else name)
+        doc = f"{name} of the model" if known is None else known[1]
         shape = tuple(tensor.shape)
         found.append(GraphInput(port_name(name), shape, doc, tensor.detach().float(), name))
     return found

@@ -78,40 +78,57 @@ class RuntimeGraph(nn.Module):
             cosine that light falls in at; the lesser and the sum of both cosines times some number
             above 0; `[..., 1, H, W]` each, NaN where a vector is invalid.
         """
-        c, k = self.form.warp
-        (n, _), l, v = scaled(normal), unit(light), unit(view)  # noqa: E741
-        d, p = v - l, cross(n, l)
-        n_l, n_v, square = dot(n, l), dot(n, v), dot(d, d)
-        least, quarter = torch.minimum(n_l, n_v), (n_l + n_v) * 0.25
-        # what d has along L + V is rounding: N without its part along L + V does not see it
-        n_d = dot(n - (l + v) * quarter, d)
-        # L ∥ V: the plane of L and N is taken
-        parallel = square <= (4 * _EPS) ** 2
-        y, z = torch.where(parallel, length(p), n_d), dot(p, d)
-        delta = torch.sqrt(square)
-        span = torch.where(parallel, torch.ones(()), delta)
-        u = delta / (2 + torch.sqrt(torch.relu(4 - square)))
-        across = y / (y.abs() + span * least * c)
-        along = z / (z.abs() + span * quarter * (2 * k))
-        return read(self.form.table, u, across, along), n_l / length(n), least, quarter
+        u, v, w, *cosines = address_parts(normal, light, view, *self.form.warp)
+        return (read(self.form.table, u, v, w), *cosines)
+
+
+def address_parts(
+    normal: Tensor, light: Tensor, view: Tensor, c: Tensor | float, k: Tensor | float
+) -> tuple[Tensor, ...]:
+    """u, v and w of the table's address, and the three that `RuntimeGraph` gives beside f_r.
+
+    Args:
+        c, k: the warp, one for all or a map.
+    """
+    (n, _), l, v = scaled(normal), unit(light), unit(view)  # noqa: E741
+    d, p = v - l, cross(n, l)
+    n_l, n_v, square = dot(n, l), dot(n, v), dot(d, d)
+    least, quarter = torch.minimum(n_l, n_v), (n_l + n_v) * 0.25
+    # what d has along L + V is rounding: N without its part along L + V does not see it
+    n_d = dot(n - (l + v) * quarter, d)
+    # L ∥ V: the plane of L and N is taken
+    parallel = square <= (4 * _EPS) ** 2
+    y, z = torch.where(parallel, length(p), n_d), dot(p, d)
+    delta = torch.sqrt(square)
+    span = torch.where(parallel, torch.ones(()), delta)
+    u = delta / (2 + torch.sqrt(torch.relu(4 - square)))
+    across = y / (y.abs() + span * least * c)
+    along = z / (z.abs() + span * quarter * (2 * k))
+    return u, across, along, n_l / length(n), least, quarter
 
 
 def read(table: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:
     """`runtime_table.read_at`, in two gathers: four neighbours each, as a polynomial in v and w."""
-    nu, nv, nw, channels = table.shape
+    nu, nv, nw, _ = table.shape
     middle_v, middle_w = (nv - 1) // 2, (nw - 1) // 2
     x, y, z = u * (nu - 1), _from_middle(v, nv), _from_middle(w, nw)
     i, j, k = x.floor(), y.floor(), z.floor()
-    rows = _packed(table)
+    rows = packed(table)
     # nothing that `trace` joins: OpenCV corrupts memory in a `Sum` of maps of several sizes
     node = (middle_v * nw + middle_w) + ((i * nv + j) * nw + k)
     last = len(rows) - 1 - nv * nw
     first = node.squeeze(XYZ_DIM).to(torch.int32).clamp(0, last)  # whatever NaN becomes
     near, far = (rows[at].movedim(-1, XYZ_DIM) for at in (first, first + nv * nw))
-    f = near + (x - i) * (far - near)
-    for place, size in ((y - j, 2), (z - k, 1)):
-        slope, start = f.split(size * channels, XYZ_DIM)
-        f = place * slope + start
+    return interpolated(near, far, (x - i, y - j, z - k))
+
+
+def interpolated(near: Tensor, far: Tensor, place: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+    """f of two packed rows `[..., 12, H, W]` at a place in the cell, along u, v and w."""
+    x, *others = place
+    f = near + x * (far - near)
+    for along, size in zip(others, (2, 1), strict=True):
+        slope, start = f.split(size * 3, XYZ_DIM)
+        f = along * slope + start
     return f
 
 
@@ -121,7 +138,7 @@ def _from_middle(address: Tensor, count: int) -> Tensor:
     return position if count % 2 else position + 0.5
 
 
-def _packed(table: Tensor) -> Tensor:
+def packed(table: Tensor) -> Tensor:
     """`[U, V, W, C]` → `[nodes, 4 C]`: at each node the coefficients of y z, y, z and 1.
 
     A runtime does this at every call, or once where the table is a constant.

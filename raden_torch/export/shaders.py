@@ -8,7 +8,8 @@ import torch
 from torch import Tensor, nn
 
 from raden_torch import geometry
-from raden_torch.export.forms import FitForm, Form
+from raden_torch.export.forms import FitForm, Form, PaletteForm
+from raden_torch.export.palette_graph import PaletteGraph
 from raden_torch.export.profiles import GraphInput
 from raden_torch.export.runtime_graph import RuntimeGraph, dot
 
@@ -23,7 +24,13 @@ class Shader(nn.Module):
         super().__init__()
         self.ports = ports
         own = copy.deepcopy(form)
-        reflection = EagerGraph(own) if isinstance(own, FitForm) else RuntimeGraph(own)
+        reflection: nn.Module = (
+            EagerGraph(own)
+            if isinstance(own, FitForm)
+            else PaletteGraph(own)
+            if isinstance(own, PaletteForm)
+            else RuntimeGraph(own)
+        )
         scene = profile == "scene"
         self.inner = SceneShading(reflection) if scene else GBufferShading(reflection, output)
 
@@ -60,7 +67,8 @@ class GBufferShading(nn.Module):
         self.output = output
 
     def forward(self, given: dict[str, Tensor]) -> Tensor:
-        f, cosine, least, both = self.reflection(given["normal"], given["light"], given["view"])
+        vectors = (given[name] for name in ("normal", "light", "view"))
+        f, cosine, least, both = self.reflection(*vectors, *_material(given))
         mask = torch.relu(given["mask"])
         factor = mask.clamp(max=1)
         if self.output == "radiance":
@@ -86,11 +94,19 @@ class SceneShading(nn.Module):
         near = (placed[:, :, 3:] > 0).float()
         to_light = placed[:, :, :3] - near * position
         f, cosine, *cosines = self.reflection(
-            given["normal"].unsqueeze(1), to_light, camera - position
+            given["normal"].unsqueeze(1),
+            to_light,
+            camera - position,
+            *(material.unsqueeze(1) for material in _material(given)),
         )
         distance_squared = near * dot(to_light, to_light) + (1 - near)
         image = f * (cosine / distance_squared) * (colour * given["exposure"])
         return _lit(image, *cosines).sum(1) * _share(given["mask"])
+
+
+def _material(given: dict[str, Tensor]) -> list[Tensor]:
+    """The map that chooses of a palette, where there is one."""
+    return [given[name] for name in ("material", "weights") if name in given]
 
 
 def _lit(image: Tensor, shows: Tensor, both: Tensor) -> Tensor:

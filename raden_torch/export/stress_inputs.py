@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import torch
 from torch import Tensor
 
-from raden_torch.export.forms import FitForm, Form
+from raden_torch.export.forms import FitForm, Form, PaletteForm
 from raden_torch.export.profiles import GraphInput, ports
 
 _SEED = 2012
@@ -25,6 +25,7 @@ class StressCase:
     def is_basic(self) -> bool:
         """Whether it has pixels and lights, and leaves all optional inputs at their defaults."""
         required = {"normal", "light", "view", "position", "camera", "light_colour"}
+        required |= {"material", "weights"}
         return set(self.inputs) <= required and all(t.numel() for t in self.inputs.values())
 
 
@@ -49,7 +50,7 @@ def cases(form: Form, profile: str, output: str, *, fixed: bool = False) -> list
     masked = _mask((2, 6, 5), draw)
     if isinstance(form, FitForm):  # of which ONNX Runtime 1.18 makes no empty picture
         found = [case for case in found if case.inputs["normal"].numel()]
-    return [
+    made = [
         *found,
         StressCase("mask", ordinary | {"mask": masked}),
         StressCase(
@@ -57,6 +58,24 @@ def cases(form: Form, profile: str, output: str, *, fixed: bool = False) -> list
             ordinary | changed | {"mask": masked[:, :, :1]},
         ),
     ]
+    if isinstance(form, PaletteForm):
+        made = [replace(case, inputs=case.inputs | _material(form, case, draw)) for case in made]
+    return made
+
+
+def _material(form: PaletteForm, case: StressCase, draw: torch.Generator) -> dict[str, Tensor]:
+    """Indices, among the odd vectors with some that are none; or weights, of which some are 0."""
+    batch, _, height, width = case.inputs["normal"].shape
+    count = len(form.members)
+    if form.by == "weights":
+        drawn = torch.relu(torch.randn(batch, count, height, width, generator=draw))
+        return {"weights": (drawn + 1e-6) / (drawn + 1e-6).sum(1, keepdim=True)}
+    index = torch.randint(0, count, (batch, 1, height, width), generator=draw).float()
+    if case.name == "not vectors":
+        odd = torch.tensor([-1.0, count, 1e30, float("nan"), float("inf"), 0.25])
+        pick = torch.randint(0, 60, index.shape, generator=draw)
+        index = torch.where(pick < len(odd), odd[pick.clamp(max=len(odd) - 1)], index)
+    return {"material": index}
 
 
 def _gbuffer_cases(draw: torch.Generator) -> list[StressCase]:

@@ -16,6 +16,9 @@ NAMES: dict[str, tuple[str, ...]] = {
     "position": ("p", "position", "positions", "pos", "worldposition", "world_position", "pworld"),
     "depth": ("z", "depth", "zdepth", "depth_z"),
     "mask": ("mask", "a", "alpha"),
+    "material": (
+        *("material", "materials", "indexma", "material_index", "materialindex", "material_id"),
+    ),
     "colour": ("", "rgba", "rgb", "beauty", "combined", "colour", "color"),
 }
 """The layer names that are known, compared in lower case, the first one first. A name found
@@ -62,10 +65,10 @@ class Layers:
         more = f" and {len(shown) - 40} more" if len(shown) > 40 else ""
         return ", ".join(shown[:40]) + more
 
-    def missing(self, wanted: str) -> InputError:
+    def missing(self, wanted: str, what: str = "normal") -> InputError:
         return InputError(
             f"{self.file.path}: {wanted}, got the channels {self.listing}; name a layer of them, "
-            "as in normal=LAYER"
+            f"as in {what}=LAYER"
         )
 
     def vector(self, what: str) -> tuple[Key, ...] | None:

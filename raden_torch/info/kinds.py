@@ -28,8 +28,14 @@ class FileKind:
     describe: Callable[[Path], str]
 
 
+def _describe_model_file(path: Path) -> str:
+    from raden_torch.info.material_info import describe_model_file  # with torch
+
+    return describe_model_file(path)
+
+
 KINDS = (
-    FileKind("a model", lambda head: head[8:9] == b"{", reflectance_info.describe_model_file),
+    FileKind("a model", lambda head: head[8:9] == b"{", _describe_model_file),
     FileKind("an ONNX file", shader_info.recognises, shader_info.describe),
     FileKind("an OpenEXR file", image_info.recognises_exr, image_info.describe_exr),
     FileKind("an image", image_info.recognises_image, image_info.describe_image),

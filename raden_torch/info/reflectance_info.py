@@ -107,9 +107,3 @@ def describe_measurement_file(path: Path) -> str:
     from raden_torch.capture.importers import load_measurement
 
     return describe_measurement(load_measurement(path))
-
-
-def describe_model_file(path: Path) -> str:
-    from raden_torch.brdf.files.model_file import load_model
-
-    return describe_model(load_model(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -45,11 +46,14 @@ def describe(path: Path) -> str:
 
 def _of_ours(texts: dict[str, str]) -> list[str]:
     kind = "simulated specimen" if texts.get("simulated") == "true" else "measured specimen"
+    names = json.loads(texts.get("materials", "[]"))
+    members = [f"{place}: {name}" for place, name in enumerate(names)]
     return [
         f"shader of {texts.get('sample') or 'an unnamed sample'} ({kind}), "
         f"written by `raden export`, {texts.get('library', '')}",
         f"{texts.get('form', 'fit')} form, profile {texts.get('profile')}, "
         f"output {texts.get('output')}: {texts.get('quantity')}; units: {texts.get('units')}",
+        *([f"materials: {', '.join(members)}"] if members else []),
         f"instrument: {texts.get('instrument') or 'not named'}",
         f"measured angles: {texts.get('valid_range')}",
         f"measurement sha256: {texts.get('measurement_sha256') or 'not known'}",

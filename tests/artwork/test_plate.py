@@ -37,7 +37,8 @@ def test_the_motif_lies_on_the_plate() -> None:
         inside = piece.distance(x, y) > 0
         assert torch.hypot(x - piece.x, y - piece.y)[inside].max() <= piece.reach
         union |= inside
-    coverage, lean = inlay(x, y, 2 / n)
+    maps = inlay(x, y, 2 / n)
+    coverage, lean = maps.coverage[0], maps.layer_slope
     assert (coverage <= union.double() + 0.51).all()  # nothing but pieces, and half an edge
     gaps = (union.double() - coverage).mean()
     assert 0 < gaps < 0.06

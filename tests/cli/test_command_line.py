@@ -51,7 +51,7 @@ def test_all_commands_are_here() -> None:
         " ".join(one) == "fit info analyse merge plot export verify bench render relight demo scan"
     )
     steps = [words[1] for words in COMMANDS if len(words) == 2]
-    assert " ".join(steps) == "calibrate colour lights normals brdf simulate"
+    assert " ".join(steps) == "calibrate colour lights normals brdf segment simulate"
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
@@ -136,7 +136,7 @@ REFUSED = [
     (("scan", "--no-simulate"), "--no-simulate: no such option, did you mean --simulate?"),
     (("render", "m", "--reading.smooth", "1"), "--reading.smooth: no such option"),
     # missing
-    (("fit",), "fit: MEASUREMENT is missing; `raden fit -h` says what it is"),
+    (("fit",), "fit: MEASUREMENTS is missing; `raden fit -h` says what it is"),
     (("fit", "a.csv"), "fit: --output is missing"),
     (("merge", "-o", "x.csv"), "merge: FILES is missing"),
     (BRDF, "capture brdf: PHOTOS is missing"),
@@ -210,7 +210,7 @@ def test_values_stand_for_themselves() -> None:
     assert parsed("render", "m", "--exposure", "auto")["display"].exposure == "auto"
     assert parsed("render", "m", "--exposure", "-1.5")["display"].exposure == -1.5
     assert parsed("demo", "--size", "64", "--size", "32") == {"size": 32}  # the last one counts
-    assert parsed("fit", "-o", "m", "--", "-odd.csv")["measurement"] == Path("-odd.csv")
+    assert parsed("verify", "--", "-odd.onnx")["file"] == Path("-odd.onnx")
     plan = parsed("scan", "--plan", "random", "--tilt", "-70:7.5", "--step", "2")["plan"]
     assert (plan.kind, plan.tilt, plan.step_deg) == ("random", (-70.0, 7.5), 2.0)
     assert parsed("info", "null", "none") == {"file": Path("null"), "other": Path("none")}

@@ -15,7 +15,7 @@ import raden_torch as rt
 from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.export import export as export_module
 from raden_torch.export.check import ExportReport, StressSet
-from raden_torch.export.forms import Form
+from raden_torch.export.forms import Form, PaletteForm
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,13 @@ def matt() -> rt.RadenBrdf:
 def everything_in(form: Form) -> Hashable:
     """All that a form's pictures depend on."""
     tensors = form.state_dict().items()
-    table = form.table
-    layout = getattr(form, "warp", None) or (
-        table and (table.first_deg, table.step_deg, table.pieces)
-    )
+    table = getattr(form, "table", None)
+    if isinstance(form, PaletteForm):
+        layout = (form.by, [member.layout for member in form.each])
+    else:
+        layout = getattr(form, "warp", None) or (
+            table and (table.first_deg, table.step_deg, table.pieces)
+        )
     return (
         type(form),
         tuple((name, *v.shape, v.double().numpy().tobytes()) for name, v in tensors),
@@ -59,7 +62,7 @@ def _each_model_once() -> Iterator[None]:
     made: dict[Hashable, StressSet] = {}
 
     def graph(model: rt.RadenBrdf, form: Form, *options: str | int) -> onnx.ModelProto:
-        key = (everything_in(form), repr(model.provenance), *options)
+        key = (everything_in(form), repr(getattr(model, "provenance", model)), *options)
         if key not in traced:
             traced[key] = trace(model, form, *options)
         return copy.deepcopy(traced[key])

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from math import lcm
 from typing import Any, cast
 
@@ -22,9 +23,11 @@ from torch import Tensor
 from raden_torch.brdf.files.depth_check import warn_of_other_kind
 from raden_torch.brdf.files.exr_tensors import evidence, stacked
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
+from raden_torch.brdf.files.material_map import MaterialMap
 from raden_torch.brdf.files.normal_check import warn_of_normals
 from raden_torch.brdf.files.normal_coding import decoded, has_negative
 from raden_torch.brdf.files.pinhole import Y_UP, pinhole_matrix, rays
+from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.shading.depth import (
     FAR,
     depth_kind,
@@ -40,12 +43,14 @@ from raden_torch.images.exr import WRITTEN_LINES
 from raden_torch.images.exr_file import ExrFile, Key
 from raden_torch.images.exr_layers import Layers
 
-BYTES_A_PIXEL, BYTES_A_CHANNEL = 240, 10
+BYTES_A_PIXEL, BYTES_A_CHANNEL, BYTES_GATHERED = 240, 10, 120
 """The most that reading, shading and writing some rows takes: that of the eager form. With the
-fused kernel it is a third."""
+fused kernel it is a third. What a palette gathers comes on top, once for each of its weights."""
 
 
-def read_gbuffer(path: str | os.PathLike[str], **reading: Any) -> GBuffer:
+def read_gbuffer(
+    path: str | os.PathLike[str], *, palette: Palette | None = None, **reading: Any
+) -> GBuffer:
     """The G-buffer in an EXR file; the frame is that of this module.
 
     Normals are found by name (`NAMES`, as "N.X", "Normal.R", "ViewLayer.Normal.X") or are the bare
@@ -54,6 +59,7 @@ def read_gbuffer(path: str | os.PathLike[str], **reading: Any) -> GBuffer:
     normals they are made from depth, which is planar z unless `depth` says otherwise.
 
     Args:
+        palette: of which the pixels' materials are read; None reads none.
         reading: attributes of `GBufferReading`, as in `fov_deg=40`.
 
     Returns:
@@ -69,7 +75,7 @@ def read_gbuffer(path: str | os.PathLike[str], **reading: Any) -> GBuffer:
             declared is the distance along the ray, by the shapes that it shows; without `camera`
             and `view`, normals are stored otherwise, by `normal_check`.
     """
-    file = GBufferFile(path, GBufferReading(**reading))
+    file = GBufferFile(path, GBufferReading(**reading), palette=palette)
     gbuffer = file.rows(0, file.size[0])
     if not has_pixels(gbuffer):
         raise file.is_empty()
@@ -88,6 +94,7 @@ class GBufferFile:
     Args:
         memory: bytes that a band may take with all that shading it and writing it needs; where
             None, the whole file is one band.
+        palette: of which the pixels' materials are read; None reads none.
     """
 
     def __init__(
@@ -96,12 +103,15 @@ class GBufferFile:
         reading: GBufferReading = USUAL,
         *,
         memory: int | None = None,
+        palette: Palette | None = None,
     ) -> None:
         self.path, self._reading = path, reading
         self._kind, self._axes = depth_kind(reading.depth or "planar"), reading.axes
         self._file = ExrFile(path)
         self.size = self._file.size
-        self.bands = _bands(self._file, memory)
+        self._material = self._materials(palette)
+        gathered = 0 if self._material is None else max(1, len(self._material.keys))
+        self.bands = _bands(self._file, memory, BYTES_GATHERED * gathered)
         layers = Layers.of(self._file, reading.channels)
         self._normal, self._coded = self._normals(layers)
         self._depth, self._mask = layers.scalar("depth"), layers.scalar("mask")
@@ -111,13 +121,20 @@ class GBufferFile:
 
     def rows(self, top: int, bottom: int) -> GBuffer:
         """The rows from `top` to before `bottom`, a batch of 1 in float32."""
-        vectors = (*(self._normal or ()), *(self._position or ()))
-        self._file.read((*vectors, *(self._depth or ()), *(self._mask or ())), top, bottom)
+        keys = [*(self._normal or ()), *(self._position or ())]
+        keys += [*(self._depth or ()), *(self._mask or ())]
+        if self._material is not None and self._reading.material is None:
+            keys += self._material.keys
+        self._file.read(keys, top, bottom)
         stored = self._read(self._depth, top, bottom)
         depth = None if stored is None else in_front(stored, self._kind)
         if self._normal is not None:
-            return self._from_normals(depth, top, bottom)
-        return self._from_depth(cast(Tensor, depth))
+            found = self._from_normals(depth, top, bottom)
+        else:
+            found = self._from_depth(cast(Tensor, depth))
+        if self._material is None:
+            return found
+        return replace(found, material=self._material.rows(top, bottom, found.mask))
 
     def is_empty(self) -> InputError:
         """What to raise where no pixel of all rows is valid."""
@@ -136,6 +153,21 @@ class GBufferFile:
             return keys, False
         found = evidence(self._file, keys, self.bands)
         return (keys if named or found.is_normals else None), found.is_coded
+
+    def _materials(self, palette: Palette | None) -> MaterialMap | None:
+        """None where there is nothing to choose."""
+        path = self._reading.material
+        named = (self._reading.channels or {}).get("material")
+        if palette is None or (len(palette) == 1 and path is None and named is None):
+            if path is not None or named is not None:
+                raise InputError(
+                    f"{path or self.path}: material: expected a palette to choose of, got the "
+                    "model of one measurement"
+                )
+            return None
+        if path is not None:
+            return MaterialMap(path, palette, self.size, named)
+        return MaterialMap(self.path, palette, self.size, named, self._file)
 
     def _pinhole(self) -> Tensor | None:
         said, aspect = self._reading, self._file.first.pixel_aspect
@@ -241,9 +273,10 @@ def has_pixels(gbuffer: GBuffer) -> bool:
     return gbuffer.mask is None or bool((gbuffer.mask > 0).any())
 
 
-def _bands(file: ExrFile, memory: int | None) -> list[tuple[int, int]]:
+def _bands(file: ExrFile, memory: int | None, more: int) -> list[tuple[int, int]]:
+    """Args: more: bytes a pixel than a model alone takes."""
     height, width = file.size
-    a_row = width * (BYTES_A_PIXEL + BYTES_A_CHANNEL * len(file.keys))
+    a_row = width * (BYTES_A_PIXEL + more + BYTES_A_CHANNEL * len(file.keys))
     if memory is None:
         if not file.may_be_whole:
             raise InputError(

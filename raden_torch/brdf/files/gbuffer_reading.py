@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from numpy.typing import ArrayLike
 from torch import Tensor
@@ -34,6 +35,8 @@ class GBufferReading:
         depth: what the depth is, one of `depth.KINDS`: "planar", "distance" along the pixel's ray,
             "negative", or the renderer that wrote it. None is planar, and warns where the surface
             indicates another.
+        material: a file of its own that says which material of a palette each pixel shows; without
+            it the EXR's layer "material" does (`channels`, `MaterialMap`).
         xyz: the channels of the normals that hold x, y and z ("r" is the first of the three), with
             a minus where one points the other way: "r,-g,-b" for a camera with y down, z forward.
 
@@ -49,6 +52,7 @@ class GBufferReading:
     smooth_px: float = 0.0
     depth: str | None = None
     xyz: str = "r,g,b"
+    material: Path | None = None
 
     def __post_init__(self) -> None:
         if self.view is not None and self.camera is not None:

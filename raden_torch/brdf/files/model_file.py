@@ -1,16 +1,25 @@
-"""Models on disk: one safetensors file with JSON metadata. No pickle."""
+"""Models, palettes and coats on disk: one safetensors file with JSON metadata. No pickle."""
 
 from __future__ import annotations
 
 import json
 import os
 import struct
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from raden_torch.brdf.files.material_record import (
+    Records,
+    material_of,
+    runtime_of,
+    runtime_record,
+)
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.layout_choice import choose_layout
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
@@ -19,7 +28,8 @@ from raden_torch.errors import InputError, check_type
 from raden_torch.files import check_output, check_seekable, written_beside
 
 FORMAT = "raden_torch model"
-VERSION = 1
+VERSION = 2
+"""Of files with more than one `RadenBrdf`, which is version 1."""
 QUANTITY = "f_r in 1/sr, without the cosine"
 COLOUR = "linear RGB, sRGB primaries, D65 white, unclipped"
 _MAX_HEADER = 16_000_000
@@ -39,11 +49,16 @@ class _About:
     runtime: RuntimeLayout | None = None
 
 
-def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
-    """Write a model; `load_model` gives back an equal one.
+def save_model(model: Reflection, path: str | os.PathLike[str]) -> None:
+    """Write a model, a palette, or another material; `load_model` gives back an equal one.
+
+    Args:
+        model: a `RadenBrdf`; or a `Palette`, `Coated`, `Powder`, `Foil` or `Lambertian`, which are
+            kept as what they are made of, models in them included.
 
     Raises:
-        InputError: a suffix other than .safetensors, or a place that cannot be written.
+        InputError: a suffix other than .safetensors, a place that cannot be written, or a material
+            that a file cannot hold.
 
     Examples:
         >>> import raden_torch as rt
@@ -52,21 +67,47 @@ def save_model(model: RadenBrdf, path: str | os.PathLike[str]) -> None:
     """
     from safetensors.torch import save
 
-    check_type("model", model, RadenBrdf, "fit(…).model is one")
+    if not callable(getattr(model, "of_unit_vectors", None)):
+        check_type("model", model, (RadenBrdf, Palette), "fit(…).model is one")
     target = check_output(path, (".safetensors",))
-    about = describe(model)
-    tensors = {
-        name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()
+    about, tensors = described(model)
+    stored = {
+        name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
+        for name, value in tensors.items()
     }
-    data = save(tensors, {"format": FORMAT, "about": json.dumps(about)})
+    data = save(stored, {"format": FORMAT, "about": json.dumps(about)})
     with written_beside(target) as temporary:
         temporary.write_bytes(data)
+
+
+def described(model: Reflection) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    """What a file holds: its metadata and its tensors."""
+    if isinstance(model, RadenBrdf):
+        return describe(model), model.state_dict()
+    records = Records()
+    about: dict[str, Any] = {"version": VERSION, "quantity": QUANTITY, "colour": COLOUR}
+    if isinstance(model, Palette):
+        about["palette"] = [
+            {"name": name, "material": records.of(part, f"palette: {name}")}
+            for name, part in zip(model.names, model, strict=True)
+        ]
+    else:
+        about["material"] = records.of(model, "model")
+    about["models"] = [
+        describe(m) if isinstance(m, RadenBrdf) else runtime_record(m) for m in records.models
+    ]
+    tensors = {
+        f"models.{place}.{name}": value
+        for place, part in enumerate(records.models)
+        for name, value in part.state_dict().items()
+    }
+    return about, tensors
 
 
 def describe(model: RadenBrdf) -> dict[str, Any]:
     """All of a model that is not a tensor, as plain JSON values; `assemble` reads it."""
     about: dict[str, Any] = {
-        "version": VERSION,
+        "version": 1,
         "quantity": QUANTITY,
         "colour": COLOUR,
         "diffuse_gain": model.diffuse_gain,
@@ -81,12 +122,16 @@ def describe(model: RadenBrdf) -> dict[str, Any]:
     return about
 
 
-def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
-    """Read a model that `save_model` wrote, onto the CPU.
+def load_model(path: str | os.PathLike[str]) -> Any:
+    """Read what `save_model` wrote, onto the CPU.
+
+    Returns:
+        The `RadenBrdf` that `raden fit` writes of one measurement; the `Palette` or the material
+        that was saved otherwise.
 
     Raises:
-        InputError: not a file of ours, of a newer format, truncated, or holding values that are
-            not finite.
+        InputError: not a file of ours, of a newer format, truncated, in another quantity or colour
+            space, or holding values that are not finite.
 
     Examples:
         >>> import torch
@@ -104,16 +149,70 @@ def load_model(path: str | os.PathLike[str]) -> RadenBrdf:
     about = _read_about(path)
     try:
         tensors = load(path.read_bytes())
-        model = assemble(about, tensors)
-    except (SafetensorError, KeyError, TypeError, ValueError, OverflowError) as error:
+        model = _several(about, tensors) if "models" in about else assemble(about, tensors)
+    except (
+        *(SafetensorError, KeyError, TypeError, ValueError, OverflowError),
+        *(AttributeError, RecursionError),
+    ) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InputError(
             f"{path}: expected the content of a model, got a damaged one: {reason}"
         ) from None
-    for name, value in model.named_parameters():
+    for name, value in tensors.items():
         if not torch.isfinite(value).all():
             raise InputError(f"{path}: {name}: expected finite values, got some that are not")
     return model
+
+
+def load_brdf(path: str | os.PathLike[str], what: str = "") -> RadenBrdf:
+    """`load_model`, of a file that has to hold one `RadenBrdf`.
+
+    Args:
+        what: needs it, for the message.
+
+    Raises:
+        InputError: it holds a palette or another material; whatever `load_model` raises.
+    """
+    model = load_model(path)
+    if isinstance(model, RadenBrdf):
+        return model
+    kind = f"a palette of {len(model)}" if isinstance(model, Palette) else type(model).__name__
+    raise InputError(
+        f"{path}: {what or 'model'}: expected the model of one measurement, got {kind}"
+    )
+
+
+def _several(about: dict[str, Any], tensors: Mapping[str, torch.Tensor]) -> Reflection:
+    """A palette, or a material that is no model.
+
+    Raises:
+        InputError, KeyError, TypeError, ValueError: the two do not make one.
+    """
+    _check_kind(about, "file")
+    models: dict[int, Reflection] = {}
+    for place, own in enumerate(about["models"]):
+        where, prefix = f"models[{place}]", f"models.{place}."
+        parts = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+        if "diffuse_gain" not in own:
+            models[place] = runtime_of(own, parts, where)
+            continue
+        _check_kind(own, where)
+        models[place] = assemble(own, parts, where)
+    if "palette" not in about:
+        return material_of(about["material"], models, "material")
+    names = [str(member["name"]) for member in about["palette"]]
+    members = [
+        material_of(member["material"], models, f"palette: {name}")
+        for name, member in zip(names, about["palette"], strict=True)
+    ]
+    return Palette(members, names)
+
+
+def _check_kind(about: Mapping[str, Any], where: str) -> None:
+    """Raise InputError unless it is in the one quantity and colour space that models have."""
+    for name, wanted in (("quantity", QUANTITY), ("colour", COLOUR)):
+        if about.get(name) != wanted:
+            raise InputError(f"{where}: {name}: expected {wanted}, got {about.get(name)!r:.80}")
 
 
 def _read_about(path: Path) -> dict[str, Any]:
@@ -149,7 +248,9 @@ def _read_about(path: Path) -> dict[str, Any]:
     return dict(about)
 
 
-def assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenBrdf:
+def assemble(
+    about: dict[str, Any], tensors: Mapping[str, torch.Tensor], where: str = "metadata"
+) -> RadenBrdf:
     """A model from what `describe` says of it and its `state_dict`.
 
     Raises:
@@ -158,13 +259,13 @@ def assemble(about: dict[str, Any], tensors: dict[str, torch.Tensor]) -> RadenBr
     """
     from raden_torch.schema import checked
 
-    said = checked(about, _About, "metadata")
+    said = checked(about, _About, where)
     diffuse = table = None
     if "diffuse.scale" in tensors:
         diffuse = CosineDiffuse(tensors["diffuse.scale"], tensors["diffuse.exponent"])
     if "table.values" in tensors:
         if said.first_deg is None or said.step_deg is None:
-            raise InputError("metadata: expected first_deg and step_deg of the table, got none")
+            raise InputError(f"{where}: expected first_deg and step_deg of the table, got none")
         table = ReflectanceTable(
             tensors["table.values"], said.first_deg, said.step_deg, said.pieces
         )

@@ -99,25 +99,41 @@ class Palette(nn.Module):
             )
         return self._models[0].of_unit_vectors(n, l, v)
 
-    def check_material(self, material: Tensor, mask: Tensor | None = None) -> None:
+    @staticmethod
+    def _range_of(index: Tensor) -> tuple[int, int]:
+        low, high = (int(x) for x in index.aminmax()) if index.numel() else (0, 0)
+        return low, high
+
+    def check_material(
+        self,
+        material: Tensor,
+        mask: Tensor | None = None,
+        *,
+        where: str = "GBuffer material",
+        first_row: int = 0,
+    ) -> None:
         """Raise InputError, in one line, unless a G-buffer's `material` fits this palette.
 
         Args:
-            material: `[B, 1, H, W]` integers, or `[B, K, H, W]` weights.
+            material: `[B, 1, H, W]` integers, or `[B, K, H, W]` weights, which sum to 1 within
+                0.001.
             mask: `[B, 1, H, W]`; where it is 0, the material does not matter.
+            where: of what the messages speak.
+            first_row: the number of the first row, for messages.
         """
         if not material.is_floating_point():
-            whole = material if mask is None else torch.where(mask > 0, material, 0)
-            low, high = (int(x) for x in whole.aminmax()) if whole.numel() else (0, 0)
+            low, high = self._range_of(material)
+            if mask is not None and not 0 <= low <= high < len(self):
+                low, high = self._range_of(torch.where(mask > 0, material, 0))
             if low < 0 or high >= len(self):
                 raise InputError(
-                    f"GBuffer material: expected indices 0…{len(self) - 1} of the palette "
+                    f"{where}: expected indices 0…{len(self) - 1} of the palette "
                     f"({', '.join(self.names)}), got {low if low < 0 else high}"
                 )
             return
         if material.shape[1] != len(self):
             raise InputError(
-                f"GBuffer material: expected {len(self)} weights a pixel, one for each of "
+                f"{where}: expected {len(self)} weights a pixel, one for each of "
                 f"{', '.join(self.names)}, got {material.shape[1]}"
             )
         detached = material.detach().float()
@@ -129,6 +145,6 @@ class Palette(nn.Module):
             b, _, y, x = torch.broadcast_tensors(bad, bad)[0].nonzero()[0].tolist()
             found = ", ".join(f"{w:.4g}" for w in detached[b, :, y, x].tolist())
             raise InputError(
-                "GBuffer material: expected weights of 0 or more that sum to 1, got "
-                f"{found} in image {b}, row {y}, column {x}"
+                f"{where}: expected weights of 0 or more that sum to 1, got {found} in image {b}, "
+                f"row {first_row + y}, column {x}"
             )

@@ -113,6 +113,11 @@ def pearl(
     return Coated(base, index=NACRE_INDEX, roughness=gloss_roughness)
 
 
+def is_pearl(material: object) -> bool:
+    """Whether a material is what `pearl` makes."""
+    return isinstance(material, Coated) and isinstance(material.base, NacreLayers)
+
+
 @lru_cache(maxsize=16)
 @torch.inference_mode(False)
 def layer_reflectance(stack: Stack, medium: float = NACRE_INDEX) -> OfCosine:

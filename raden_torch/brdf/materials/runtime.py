@@ -6,7 +6,7 @@ A material whose layers lie in the surface knows only the three angles, so the t
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -105,6 +105,17 @@ def parameters_of(material: Any) -> list[Tensor]:
         return list(material.parameters())
     parts = (getattr(material, name, None) for name in ("base", "ground", "flakes"))
     return [p for part in parts if part is not None for p in parameters_of(part)]
+
+
+def models_of(material: Any) -> list[RadenBrdf]:
+    """The measured or simulated models that a material, or the members of a palette, are made of;
+    each once."""
+    if isinstance(material, RadenBrdf):
+        return [material]
+    parts = [getattr(material, name, None) for name in ("base", "ground", "flakes")]
+    members = list(material) if isinstance(material, Iterable) else []
+    found = [m for part in (*parts, *members) if part is not None for m in models_of(part)]
+    return list({id(model): model for model in found}.values())
 
 
 def _recorded(material: Any) -> bool:

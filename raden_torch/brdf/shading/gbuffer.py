@@ -16,7 +16,11 @@ from raden_torch.brdf.shading.triples import Triple, as_map, checked
 from raden_torch.errors import InputError, check_type
 
 _VECTOR_MAPS = ("normal", "view", "position", "layer_normal", "tangent")
-_MAPS = ("normal", "view", "position", "camera", "mask", "layer_normal", "tangent", "material")
+_GAINS = ("diffuse_gain", "specular_gain")
+_MAPS = (
+    *("normal", "view", "position", "camera", "mask", "layer_normal", "tangent", "material"),
+    *_GAINS,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +42,9 @@ class GBuffer:
         tangent: `[B, 3, H, W]` (or broadcastable), the direction of azimuth 0 of an anisotropic
             material; only its part in the surface counts.
         material: which of several materials: `[B, 1, H, W]` integers, or `[B, K, H, W]` weights.
+        diffuse_gain, specular_gain: `[B, 1 or 3, H, W]` (or broadcastable), 0 or more: factors on
+            I_d and I_s of eq. (2), pixel by pixel. One tensor as both is a gain on the whole, which
+            every material takes; two need a `RadenBrdf`, and take two reads.
 
     Examples:
         >>> import torch
@@ -55,6 +62,8 @@ class GBuffer:
     layer_normal: Tensor | None = None
     tangent: Tensor | None = None
     material: Tensor | None = None
+    diffuse_gain: Tensor | None = None
+    specular_gain: Tensor | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.normal, Tensor) or self.normal.ndim != 4:
@@ -76,6 +85,8 @@ class GBuffer:
         geometry.check_vector_maps(**{k: cast(Tensor, v) for k, v in maps.items() if v is not None})
         if self.material is not None:
             self._check_material(self.material)
+        for name in _GAINS:
+            self._check_gain(name)
         if self.mask is not None:
             self._check_mask(self.mask)
             object.__setattr__(self, "mask", coverage(self.mask))
@@ -172,6 +183,24 @@ class GBuffer:
                 f"GBuffer material: expected integers {[b, 1, h, w]} or floating-point weights "
                 f"[{b}, K, {h}, {w}], got {material.dtype} {list(material.shape)}"
             )
+
+    def _check_gain(self, name: str) -> None:
+        gain = getattr(self, name)
+        if gain is None:
+            return
+        what = f"GBuffer {name}"
+        check_type(what, gain, Tensor, "convert it by torch.as_tensor(x)")
+        if not (gain.is_floating_point() and self._fits(gain) and gain.shape[1] in (1, 3)):
+            b, _, h, w = self.normal.shape
+            raise InputError(
+                f"{what}: expected floating-point [{b}, 1 or 3, {h}, {w}], got {gain.dtype} "
+                f"{list(gain.shape)}"
+            )
+        if torch.compiler.is_compiling() or not gain.numel():
+            return
+        low, high = (float(x) for x in gain.detach().aminmax())
+        if not 0 <= low <= high < float("inf"):
+            raise InputError(f"{what}: expected finite factors of 0 or more, got {low:g}…{high:g}")
 
     def _fits(self, values: Tensor) -> bool:
         """Whether a map is broadcastable to the normals, but for its channels."""

@@ -29,6 +29,7 @@ def relight(
     *,
     gain: float | Tensor | None = None,
     original: Sequence[Light] | None = None,
+    material: Tensor | None = None,
 ) -> Tensor:
     """Replace the masked part of photographs by the model under new lights.
 
@@ -40,6 +41,7 @@ def relight(
         gain: the photograph's radiance for a shaded radiance of 1; where None, `matching_gain`.
         original: the lights that the photographs were taken under: the photographs' own texture
             (see `texture_of`) is kept then. None leaves the model alone.
+        material: of a palette, as in `GBuffer.material`.
 
     Returns:
         `[B, 3, H, W]` scene-linear RGB, equal to `photo` where the mask is 0.
@@ -47,7 +49,10 @@ def relight(
     Raises:
         InputError: sizes that differ, or an empty mask.
     """
-    return relit_under(model, photo, normal, mask, [lights], gain=gain, original=original)[0]
+    relit = relit_under(
+        model, photo, normal, mask, [lights], gain=gain, original=original, material=material
+    )
+    return relit[0]
 
 
 def relit_under(
@@ -59,6 +64,7 @@ def relit_under(
     *,
     gain: float | Tensor | None = None,
     original: Sequence[Light] | None = None,
+    material: Tensor | None = None,
 ) -> Tensor:
     """`[settings, B, 3, H, W]`: the photographs once under each setting of lights.
 
@@ -66,7 +72,7 @@ def relit_under(
     """
     _check_sizes(photo, normal, mask)
     mask = coverage(mask).to(photo.dtype)
-    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0))
+    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0), material=material)
     shaded = torch.stack([shade(model, gbuffer, lights) for lights in settings]).to(photo.dtype)
     warn_if_black(shaded, [lamp for s in settings for lamp in ([s] if isinstance(s, Light) else s)])
     if original is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
 from typing import cast, get_args
@@ -17,6 +17,7 @@ from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.model.parts import parts_of
 from raden_torch.brdf.shading.by_material import shade_palette
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
@@ -115,6 +116,8 @@ def _lit(
     """
     if isinstance(model, Palette):
         return shade_palette(model, gbuffer, lights, partial(_lit, tolerance=tolerance, kept={}))
+    if gbuffer.diffuse_gain is not None or gbuffer.specular_gain is not None:
+        return _with_gains(model, gbuffer, lights, tolerance, kept)
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
     around: list[EnvironmentLight] = []
@@ -136,6 +139,35 @@ def _lit(
         found = _under_surroundings(model, gbuffer, around)
         image = found if image is None else image + found
     return cast(Tensor, image)
+
+
+def _with_gains(
+    model: Reflection,
+    gbuffer: GBuffer,
+    lights: Sequence[Light],
+    tolerance: float,
+    kept: dict[tuple[int, ...], Tensor] | None,
+) -> Tensor:
+    """The image with factors on I_d and I_s, which multiply the radiance of each part."""
+    body, beyond = gbuffer.diffuse_gain, gbuffer.specular_gain
+    plain = replace(gbuffer, diffuse_gain=None, specular_gain=None)
+    if body is beyond:
+        whole = _lit(model, plain, lights, tolerance, kept)
+        return whole * cast(Tensor, body).to(whole)
+    if type(model) is not RadenBrdf:
+        raise InputError(
+            "GBuffer diffuse_gain, specular_gain: expected a RadenBrdf, which has the two parts, "
+            f"got {type(model).__name__}; one tensor as both is a gain on the whole"
+        )
+    image = None
+    for part, gain in zip(parts_of(model), (body, beyond), strict=True):
+        if part is None:
+            continue
+        most = 1.0 if gain is None or not gain.numel() else max(float(gain.detach().amax()), 1.0)
+        lit = _lit(part, plain, lights, tolerance / (2 * most), kept)
+        lit = lit if gain is None else lit * gain.to(lit)
+        image = lit if image is None else image + lit
+    return _lit(model, plain, [], 0.0) if image is None else image
 
 
 def _is_prefiltered(model: Reflection, gbuffer: GBuffer, light: EnvironmentLight) -> bool:

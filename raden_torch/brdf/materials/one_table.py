@@ -1,0 +1,64 @@
+"""Any material as one runtime table, for what reads nothing else: exported shaders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from raden_torch.brdf.materials.coat import LEAST_BAKED, Coated
+from raden_torch.brdf.materials.runtime import Formula, RuntimeBrdf, layout_for, runtime_brdf
+from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.errors import InputError
+
+
+def one_table(material: Reflection, where: str = "material") -> RuntimeBrdf:
+    """A material of the three angles, in single precision, baked where it is not a table yet.
+
+    Args:
+        where: for messages.
+
+    Raises:
+        InputError: a lobe narrower than a table holds, a density that is a map, or something that
+            knows no angles.
+    """
+    if isinstance(material, RuntimeBrdf):
+        return RuntimeBrdf(material.values.detach().float(), material.layout)
+    if isinstance(material, RadenBrdf):
+        return RuntimeBrdf(material.runtime_table().detach().float(), material.layout)
+    smoothest = 1.0
+    for part in _parts(material):
+        if isinstance(getattr(part, "density", None), Tensor):
+            raise InputError(
+                f"{where}: density: expected one number, got a map: it belongs to a picture; give "
+                "flakes and ground as two members, and their weights"
+            )
+        smoothest = min(smoothest, float(getattr(part, "roughness", 1.0)))
+    if smoothest < LEAST_BAKED:
+        raise InputError(
+            f"{where}: roughness: expected at least {LEAST_BAKED:g}, whose highlight a table "
+            f"holds, got {smoothest:g}"
+        )
+    baked = material.runtime_brdf() if isinstance(material, Coated) else None
+    if baked is not None:
+        return RuntimeBrdf(baked.values.detach().float(), baked.layout)
+    formula: Formula = (
+        material.formula if isinstance(material, Coated) else material.of_unit_vectors
+    )
+    with torch.no_grad():
+        like = torch.zeros((), dtype=torch.float64, device="cpu")
+        made = runtime_brdf(formula, like, layout_for(smoothest))
+    return RuntimeBrdf(made.values.float(), made.layout)
+
+
+def _parts(material: Any) -> Iterator[Any]:
+    """The material, and what it is made of, but for models."""
+    if isinstance(material, (RadenBrdf, RuntimeBrdf)):
+        return
+    yield material
+    for name in ("base", "ground", "flakes"):
+        if hasattr(material, name):
+            yield from _parts(getattr(material, name))
