@@ -41,6 +41,15 @@ class DisplayOptions:
         return Display(self.exposure, self.tone, self.gamut, self.colour_space)
 
 
+@Parameter(name="*", group=_PICTURE)
+@dataclass(frozen=True)
+class RelitDisplayOptions(DisplayOptions):
+    """How new light joins a photograph."""
+
+    exposure: Exposed = "auto"
+    """exposure of the masked part in stops; auto keeps its mean luminance, key brings it to 0.18"""
+
+
 @Parameter(name="*", group=_EXR_FILES)
 @dataclass(frozen=True)
 class ExrOptions:

@@ -113,6 +113,13 @@ class Display:
             light = light.clamp(min=0)
         return srgb_coded(toned(light, self.tone).clamp(0, 1))
 
+    def curved(self, light: Tensor) -> Tensor:
+        """Scene-linear sRGB by the tone curve alone, for what joins a picture that has its own."""
+        if self.tone == "srgb":
+            return light
+        kept = into_gamut(light, top=None) if self.gamut == "hue" else light.clamp(min=0)
+        return toned(kept, self.tone)
+
     def linear(self, image: Tensor) -> Tensor:
         """Scene-linear sRGB `[B, 3, H, W]` → an EXR's linear RGB, unclipped."""
         return self._in_space(image * 2.0**self.linear_stops if self.linear_stops else image)
@@ -121,6 +128,11 @@ class Display:
     def linear_stops(self) -> float:
         """An EXR's: 0 unless stops were asked for."""
         return 0.0 if isinstance(self.exposure, str) else float(self.exposure)
+
+    @property
+    def profile(self) -> str | None:
+        """A picture's; None where it goes unsaid, as sRGB's."""
+        return _CHUNKED.get(self.colour_space)
 
     @property
     def chromaticities(self) -> tuple[float, ...] | None:

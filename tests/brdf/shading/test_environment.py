@@ -12,6 +12,7 @@ import raden_torch as rt
 from raden_torch.brdf.files.environment_file import load_environment
 from raden_torch.brdf.shading import environment, latlong
 from raden_torch.brdf.shading.environment import EnvironmentLight
+from raden_torch.brdf.shading.shade import warn_if_black
 from raden_torch.brdf.shading.sphere_gbuffer import sphere
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
@@ -145,6 +146,22 @@ def test_a_map_is_checked_once_and_again_when_it_was_written(monkeypatch) -> Non
         uncounted.radiance[0, 1, 2] = -1.0
         with pytest.raises(InputError, match="row 1, column 2"):
             replace(uncounted, intensity=3.0)
+
+
+@pytest.mark.parametrize(
+    ("light", "said"),
+    [
+        (EnvironmentLight(torch.zeros(3, 4, 8)), "expected a light of more than 0"),
+        (rt.DirectionalLight((0, 0, 1), irradiance=0.0), "expected a light of more than 0"),
+        (rt.DirectionalLight((0, 0, -1)), "is above the horizon of anything"),
+    ],
+)
+def test_a_black_picture_is_told_by_its_cause(light, said) -> None:
+    image = torch.zeros(1, 3, 4, 4)
+    with pytest.warns(UserWarning, match=said):
+        warn_if_black(image, [light])
+    image[0, 0, 0, 0] = 1e-3
+    warn_if_black(image, [light])
 
 
 def test_bad_input_is_refused(shell, tmp_path) -> None:
