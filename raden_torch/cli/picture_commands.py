@@ -168,8 +168,11 @@ def relight(
 ) -> None:
     from raden_torch.pictures import relight_files
 
-    if around.environment is not None and (how.strip or how.sheet):
-        raise InputError("--strip and --sheet show one lamp each; leave out --environment")
+    surrounded = around.environment is not None or around.light_setup is not None
+    if surrounded and (how.strip or how.sheet):
+        raise InputError(
+            "--strip and --sheet show one lamp each; leave out --environment and --light-setup"
+        )
     used = without_other_inputs(photos, how.normals, how.mask, how.model, around.environment)
     surroundings = around.lights()
     lights = [*(_lights(how.light) if surroundings else how.lamps()), *surroundings]
