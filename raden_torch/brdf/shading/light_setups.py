@@ -30,9 +30,9 @@ def light_setup(name: LightSetup) -> EnvironmentLight:
         name: "tent", a light tent: white cloth all around, 0.6 m wide, lit from above (1 there,
             0.35 at the floor), with a round opening of 0.12 m for the camera. "window": a window of
             1.2 m x 1.5 m, 1.5 m to the left, 0.6 m up and 0.5 m forward, cut by a cross of 6 cm
-            bars, in a room of radiance 0.03; a white card of 0.5 m, 0.6 m to the right, gives 0.15. "softbox": one of
-            0.6 m x 0.9 m, 0.9 m above and 0.4 m behind the object, aimed at it, brightest in its
-            middle, in a dark room (0.01), as a gloss is shown to run over lacquer.
+            bars, in a room of radiance 0.03; a white card of 0.5 m, 0.6 m to the right, gives 0.15.
+            "softbox": one of 0.6 m x 0.9 m, 0.9 m above and 0.4 m behind the object, aimed at it,
+            brightest in its middle, in a dark room (0.01), as a gloss is shown to run over lacquer.
 
     Raises:
         InputError: another name.
