@@ -16,7 +16,12 @@ from torch import Tensor
 from raden_torch.artwork.board import CAMERA as BOARD_CAMERA
 from raden_torch.artwork.board import broad_light, shade_materials
 from raden_torch.artwork.plate import plate, shade_plate
-from raden_torch.brdf.files.display import AS_IT_IS, Display, auto_exposure_ev
+from raden_torch.brdf.files.display import (
+    AS_IT_IS,
+    Display,
+    auto_exposure_ev,
+    key_exposure_ev,
+)
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.image_file import (
@@ -36,7 +41,7 @@ from raden_torch.brdf.materials.pearl import is_pearl, pearl
 from raden_torch.brdf.materials.runtime import models_of
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
-from raden_torch.brdf.shading.relight import relight, relit_under, tiled
+from raden_torch.brdf.shading.relight import Gain, relight, relit_under, tiled
 from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.brdf.shading.sphere_gbuffer import average_samples, sphere
 from raden_torch.errors import InputError
@@ -215,7 +220,7 @@ def relight_files(
     layout: Layout = "picture",
     green: Green = "opengl",
     reading: GBufferReading = USUAL,
-    exposure_ev: float | None = None,
+    display: Display = AS_IT_IS,
     original: Path | tuple[float, float, float] | None = None,
     coded: Literal["srgb", "linear"] = "srgb",
 ) -> list[Path]:
@@ -226,9 +231,11 @@ def relight_files(
         lights: directional lights in the normals' frame.
         layout: one "picture" under all lights; or each light by itself, side by side in a "strip",
             or in rows of a "sheet", cut to the mask, each with a dial that shows its lamp, exposed
-            for the relit part where `exposure_ev` is None.
+            for the relit part where the exposure is "auto".
         green, reading: as for `read_normal_map`.
-        exposure_ev: stops; where None the masked part keeps its mean luminance.
+        display: exposure of the relit part in stops, "auto" where it keeps its mean luminance; its
+            tone curve, which the photograph has already and an EXR has not; gamut and colour space
+            of the file.
         original: the direction to the lamp that the photographs were taken under, or the
             normals.json of `raden capture normals`, which knows it by the photograph's name: keeps
             the photograph's own texture.
@@ -247,15 +254,17 @@ def relight_files(
     normal = read_normal_map(normals, green, **vars(replace(reading, material=None)))
     coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
     material = _material(loaded, reading.material, normal, coverage)
-    gain = None if exposure_ev is None else 2.0**exposure_ev
     for path, target in zip(photos, targets, strict=True):
         photo = read_photograph(path, coded=coded)
-        check_photograph(photo, target)
+        check_photograph(photo, target, display)
         before = None if original is None else [_original_lamp(original, path)]
         scene = (loaded, photo.linear, normal, coverage)
-        relit = _relit(scene, material, lights, layout, gain, before)
+        is_linear = target.suffix.lower() == ".exr" or photo.levels is None
+        shown = replace(display, tone="srgb") if is_linear else display
+        relit = _relit(scene, material, lights, layout, shown, before)
         alpha = _alpha_of(photo, path, layout, len(lights))
-        write_photograph(replace(photo, linear=relit, alpha=alpha), target, caption_of(loaded))
+        made = replace(photo, linear=relit, alpha=alpha)
+        write_photograph(made, target, caption_of(loaded), display=display)
     return targets
 
 
@@ -287,18 +296,35 @@ def _relit(
     material: Tensor | None,
     lights: Sequence[Light],
     layout: Layout,
-    gain: float | None,
+    display: Display,
     original: Sequence[Light] | None,
 ) -> Tensor:
     """`[1, 3, …]`; the scene is a model, a photograph, normals and a mask, as for `relight`."""
+    gain: Gain | None = 2.0**display.linear_stops
+    if isinstance(display.exposure, str):
+        gain = None if display.exposure == "auto" else _gain_by_key
     with torch.no_grad():
         if layout == "picture":
-            return relight(*scene, lights, gain=gain, original=original, material=material)
-        tiles = relit_under(*scene, lights, gain=gain, original=original, material=material)
+            return relight(
+                *scene,
+                lights,
+                gain=gain,
+                original=original,
+                material=material,
+                curve=display.curved,
+            )
+        tiles = relit_under(
+            *scene, lights, gain=gain, original=original, material=material, curve=display.curved
+        )
         if layout == "strip":
             return tiled(tiles, len(lights))
         # lamps of another kind were refused: they need positions
-        return _sheet(tiles, scene[3], cast(Sequence[DirectionalLight], lights), gain)
+        lamps = cast(Sequence[DirectionalLight], lights)
+        return _sheet(tiles, scene[3], lamps, exposed=display.exposure == "auto")
+
+
+def _gain_by_key(lit: Tensor, mask: Tensor) -> float:
+    return 2.0 ** key_exposure_ev(lit * mask)
 
 
 def _alpha_of(photo: Photograph, path: Path, layout: Layout, lamps: int) -> Tensor | None:
@@ -313,7 +339,7 @@ def _alpha_of(photo: Photograph, path: Path, layout: Layout, lamps: int) -> Tens
 
 
 def _sheet(
-    tiles: Tensor, mask: Tensor, lamps: Sequence[DirectionalLight], gain: float | None
+    tiles: Tensor, mask: Tensor, lamps: Sequence[DirectionalLight], *, exposed: bool
 ) -> Tensor:
     """`[1, 3, …]`: the tiles cut to the mask, in rows, with dials, exposed together."""
     rows, columns = (m.flatten() for m in torch.nonzero(mask[0, 0] > 0, as_tuple=True))
@@ -322,7 +348,7 @@ def _sheet(
     left, right = int(columns.min()) - margin, int(columns.max()) + margin + 1
     window = (..., slice(max(top, 0), bottom), slice(max(left, 0), right))
     cut, inside = tiles[window], (mask[window] > 0.5).to(tiles.dtype)
-    if gain is None:
+    if exposed:
         cut = cut * 2.0 ** auto_exposure_ev((cut * inside)[:, 0], share=_EXPOSED_FOR)
     for tile, lamp in zip(cut, lamps, strict=True):
         _draw_dial(tile[0], lamp)

@@ -113,15 +113,6 @@ def _names(text: str) -> tuple[str, ...]:
     return names
 
 
-def _stops(text: str) -> float | None:
-    if text == "auto":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"expected a number of stops, or auto, got {text}") from None
-
-
 def _exposed(text: str) -> float | Literal["auto", "key"]:
     if text == "auto":
         return "auto"
@@ -218,8 +209,9 @@ def _lamp_or_file(text: str) -> tuple[float, float, float] | Path:
 
 
 Triple = Annotated[tuple[float, float, float], _read(_triple, "X,Y,Z")]
-Stops = Annotated[float | None, _read(_stops, "STOPS", show_default=lambda stops: stops or "auto")]
-Exposed = Annotated[float | Literal["auto", "key"], _read(_exposed, "STOPS|auto|key")]
+Exposed = Annotated[
+    float | Literal["auto", "key"], _read(_exposed, "STOPS|auto|key", show_choices=False)
+]
 Bytes = Annotated[int, _read(_bytes, "SIZE", show_default=lambda size: f"{size >> 30}G")]
 Limits = Annotated[tuple[float, float], _read(_limits, "FIRST:LAST")]
 Squares = Annotated[tuple[int, int], _read(_squares, "COLUMNSxROWS")]

@@ -15,7 +15,6 @@ from raden_torch.cli.option_types import (
     Lamps,
     ModelFile,
     RenderedModel,
-    Stops,
     Triple,
     files,
     output,
@@ -25,6 +24,7 @@ from raden_torch.cli.picture_options import (
     EnvironmentOptions,
     ExrOptions,
     GBufferOptions,
+    RelitDisplayOptions,
 )
 from raden_torch.cli.status import progress, without_other_inputs, working
 from raden_torch.errors import InputError
@@ -149,8 +149,6 @@ class RelightOptions:
     """read whole numbers in the photographs as linear light"""
     green: Literal["opengl", "directx"] = "opengl"
     """which way green points in the normal map"""
-    exposure_ev: Stops = None
-    """exposure in stops, or auto: the masked part keeps its mean luminance"""
 
     def __post_init__(self) -> None:
         if sum((self.strip is not None, self.sheet is not None, bool(self.light))) > 1:
@@ -173,12 +171,16 @@ def relight(
     output: Annotated[Path, output("the image to write; a folder for several")],
     how: RelightOptions,
     around: EnvironmentOptions = EnvironmentOptions(),
+    display: RelitDisplayOptions = RelitDisplayOptions(),
     exr: ExrOptions = ExrOptions(),
 ) -> None:
     from raden_torch.pictures import relight_files
 
-    if around.environment is not None and (how.strip or how.sheet):
-        raise InputError("--strip and --sheet show one lamp each; leave out --environment")
+    surrounded = around.environment is not None or around.light_setup is not None
+    if surrounded and (how.strip or how.sheet):
+        raise InputError(
+            "--strip and --sheet show one lamp each; leave out --environment and --light-setup"
+        )
     used = without_other_inputs(
         photos, how.normals, how.mask, how.model, around.environment, exr.material
     )
@@ -197,7 +199,7 @@ def relight(
             coded="linear" if how.linear else "srgb",
             green=how.green,
             reading=exr.reading,
-            exposure_ev=how.exposure_ev,
+            display=display.display,
         )
     for path in written:
         print(f"wrote {path}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
 from raden_torch.cli.option_types import Bytes, Exposed, Pairs
+from raden_torch.errors import InputError
 
 if TYPE_CHECKING:
     from raden_torch.brdf.files.display import Display
@@ -39,6 +40,15 @@ class DisplayOptions:
         from raden_torch.brdf.files.display import Display
 
         return Display(self.exposure, self.tone, self.gamut, self.colour_space)
+
+
+@Parameter(name="*", group=_PICTURE)
+@dataclass(frozen=True)
+class RelitDisplayOptions(DisplayOptions):
+    """How new light joins a photograph."""
+
+    exposure: Exposed = "auto"
+    """exposure of the masked part in stops; auto keeps its mean luminance, key brings it to 0.18"""
 
 
 @Parameter(name="*", group=_EXR_FILES)
@@ -105,9 +115,22 @@ class EnvironmentOptions:
     """turn it by this many degrees about the vertical, counter-clockwise from above"""
     environment_intensity: float = 1.0
     """multiply it"""
+    light_setup: Literal["tent", "window", "softbox"] | None = None
+    """instead of --environment: lights as a photographer sets them up for lacquer"""
+
+    def __post_init__(self) -> None:
+        if self.environment is not None and self.light_setup is not None:
+            raise InputError("--environment and --light-setup both surround the scene; give one")
 
     def lights(self) -> list[Light]:
         """None, or one."""
+        if self.light_setup is not None:
+            from raden_torch.brdf.shading.light_setups import light_setup
+
+            turned, intensity = self.rotate_environment, self.environment_intensity
+            return [
+                replace(light_setup(self.light_setup), rotation_deg=turned, intensity=intensity)
+            ]
         if self.environment is None:
             return []
         from raden_torch.brdf.files.environment_file import load_environment

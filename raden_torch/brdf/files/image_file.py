@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from raden_torch.brdf.files.display import Display
 from raden_torch.brdf.files.exr_tensors import read_colour, stacked
 from raden_torch.brdf.files.gbuffer_file import read_gbuffer
 from raden_torch.brdf.files.gbuffer_reading import GBufferReading
@@ -102,8 +103,17 @@ def read_photograph(
     return Photograph(_tensor(rgb), levels, alpha)
 
 
-def check_photograph(photo: Photograph, path: str | os.PathLike[str]) -> None:
+_CLIPPED = Display(0.0, gamut="clip")
+
+
+def check_photograph(
+    photo: Photograph, path: str | os.PathLike[str], display: Display = _CLIPPED
+) -> None:
     """Raise InputError where `write_photograph` could not write it under this suffix."""
+    named = {"srgb": None, "display-p3": (".png", ".jpg", ".jpeg", ".exr"), "acescg": (".exr",)}
+    suffixes = named[display.colour_space]
+    if suffixes is not None:
+        _check_suffix(path, suffixes, f"{display.colour_space}")
     if photo.levels is None:
         _check_suffix(path, _FLOAT_SUFFIXES, "a floating-point photograph")
     else:
@@ -116,16 +126,18 @@ def write_photograph(
     caption: str | None = None,
     *,
     coded: Literal["srgb", "linear"] = "srgb",
+    display: Display = _CLIPPED,
 ) -> None:
     """Write a photograph as it was stored: its bit depth, its alpha, sRGB for whole numbers; 8 bits
     into a JPEG, linear floats into an EXR or HDR.
 
-    No profile is written: whole numbers without one are sRGB, floats linear sRGB. An EXR's colours
+    sRGB goes unsaid: whole numbers without a profile are sRGB, floats linear sRGB. An EXR's colours
     are multiplied by alpha, a PNG's and a TIFF's are not.
 
     Args:
         caption: a small line drawn into the lower left corner of a whole-number file.
         coded: "linear" leaves whole numbers without the sRGB curve, as normal maps and masks are.
+        display: whose gamut and colour space the file has; the light is exposed and toned already.
 
     Raises:
         InputError: a suffix that cannot hold it.
@@ -133,9 +145,7 @@ def write_photograph(
     Warns:
         UserWarning: an alpha that the format has no place for, and that is not 1 everywhere.
     """
-    from kornia.color import linear_rgb_to_rgb
-
-    check_photograph(photo, path)
+    check_photograph(photo, path, display)
     suffix = Path(path).suffix.lower()
     alpha = photo.alpha
     if alpha is not None and suffix in _WITHOUT_ALPHA:
@@ -144,19 +154,20 @@ def write_photograph(
         alpha = None
     rgb = photo.linear[0].detach().cpu().float()
     if suffix == ".exr":
-        _write_exr(rgb, alpha, path)
+        shown = Display(0.0, colour_space=display.colour_space)
+        _write_exr(shown.linear(rgb), alpha, path, display.chromaticities)
         return
     levels = {".jpg": 255, ".jpeg": 255, ".hdr": None}.get(suffix, photo.levels)
     if levels is None:
         rgb = rgb.clamp(min=0) if suffix == ".hdr" else rgb
     else:
-        rgb = rgb.clamp(0, 1)
-        rgb = linear_rgb_to_rgb(rgb[None])[0] if coded == "srgb" else rgb
+        shown = replace(display, exposure=0.0, tone="srgb")
+        rgb = shown.picture(rgb[None])[0] if coded == "srgb" else rgb.clamp(0, 1)
     pixels = _stored(rgb.movedim(0, -1), levels)
     cover = None if alpha is None else _stored(alpha[0, 0].detach().cpu(), levels)
     if caption and levels is not None:
         draw_caption(pixels, caption, cover)
-    write_pixels(pixels, path, cover)
+    write_pixels(pixels, path, cover, profile=display.profile)
 
 
 def _stored(values: Tensor, levels: int | None) -> NDArray[Any]:
@@ -187,11 +198,17 @@ def _exr_photograph(path: str | os.PathLike[str]) -> Photograph:
     return Photograph(colour / _divisor(alpha), None, alpha)
 
 
-def _write_exr(rgb: Tensor, alpha: Tensor | None, path: str | os.PathLike[str]) -> None:
+def _write_exr(
+    rgb: Tensor,
+    alpha: Tensor | None,
+    path: str | os.PathLike[str],
+    chromaticities: tuple[float, ...] | None,
+) -> None:
     channels = dict(zip("RGB", (rgb if alpha is None else rgb * _divisor(alpha[0])), strict=True))
     if alpha is not None:
         channels["A"] = alpha[0, 0]
-    write_channels(path, {name: m.detach().cpu().numpy() for name, m in channels.items()})
+    arrays = {name: m.detach().cpu().numpy() for name, m in channels.items()}
+    write_channels(path, arrays, chromaticities=chromaticities)
 
 
 def _divisor(alpha: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from raden_torch.brdf.shading import latlong
 from raden_torch.brdf.shading.triples import Colour, checked
@@ -21,6 +22,8 @@ LARGEST = 2**27
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 _USUAL_LAMPS = 512
 """Where nothing faster serves, and no number is asked for."""
+_found_good: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
+"""Maps that were checked, and which version of them: a light is made anew by every `replace`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,10 @@ class EnvironmentLight:
 
     def __post_init__(self) -> None:
         check_type("EnvironmentLight: radiance", self.radiance, Tensor, "use torch.as_tensor(x)")
-        check_map("EnvironmentLight: radiance", self.radiance)
+        version = version_of(self.radiance)
+        if version is None or _found_good.get(self.radiance) != version:
+            check_map("EnvironmentLight: radiance", self.radiance)
+            _found_good[self.radiance] = version
         checked("EnvironmentLight: intensity", self.intensity, may_be_one=True)
         if not np.isfinite(self.rotation_deg):
             raise InputError(
@@ -129,6 +135,11 @@ class EnvironmentLight:
         middle = (towards.to(mass) * mass).flatten(1).T
         direction = irradiance.new_zeros(len(parts), 3).index_add(0, label, middle)
         return DistantLamps(torch.nn.functional.normalize(direction, dim=1, eps=1e-300), irradiance)
+
+
+def version_of(tensor: Tensor) -> int | None:
+    """A number that changes whenever the tensor's values are written; None where nobody counts."""
+    return None if tensor.is_inference() else tensor._version
 
 
 def check_map(where: str, radiance: Tensor) -> None:

@@ -18,14 +18,14 @@ from torch import Tensor
 from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
 
 _SMALLEST = math.radians(0.5)
-_GROWTH = 1.3
-_AROUND = 22
+_GROWTH = 1.2
+_AROUND = 32
 """Cells of a small ring."""
 _WIDEST = math.radians(12.0)
 _WITHIN = 3
 """Points a cell is integrated at, along each side."""
 _ROWS = 65
-"""Angles between N and V, 0 to 90°."""
+"""Angles between N and V, 0 to 90°, closer towards 90°, where a lobe changes fast."""
 _GRAZING = math.pi / 2 - 1e-3
 
 
@@ -72,9 +72,10 @@ def rings() -> list[Ring]:
 def ring_weights(material: Reflection) -> list[Tensor]:
     """`[3, rows, cells]` float32 for each ring: ∫ f_r cos θi over each cell.
 
-    Rows are angles between N and V, evenly from 0 to (nearly) 90°, see `row_of`.
+    Rows are angles between N and V from 0 to (nearly) 90°, see `row_of`.
     """
-    theta = torch.linspace(0, _GRAZING, _ROWS, dtype=torch.float64).view(-1, 1)
+    share = torch.linspace(0, 1, _ROWS, dtype=torch.float64).view(-1, 1)
+    theta = _GRAZING * (1 - (1 - share) ** 2)
     zero, one = torch.zeros_like(theta), torch.ones_like(theta)
     normal = torch.stack([zero, zero, one])
     view = torch.stack([theta.sin(), zero, theta.cos()])
@@ -105,7 +106,8 @@ def _integrated(
 
 def row_of(cosine: Tensor) -> Tensor:
     """Where N·V lies among the rows of `ring_weights`."""
-    return (torch.acos(cosine.clamp(0, 1)) * ((_ROWS - 1) / _GRAZING)).clamp(max=_ROWS - 1)
+    share = (torch.acos(cosine.clamp(0, 1)) / _GRAZING).clamp(max=1)
+    return (1 - torch.sqrt(1 - share)) * (_ROWS - 1)
 
 
 def mirror_axes(normal: Tensor, view: Tensor) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
@@ -15,6 +15,7 @@ from raden_torch.brdf.shading.lights import DirectionalLight, Light, directions_
 from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.errors import InputError
 
+Gain = float | Tensor | Callable[[Tensor, Tensor], float]
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
 _DARK = 0.1
 """Of the brightest shading: below it a photograph knows little of the texture."""
@@ -27,9 +28,10 @@ def relight(
     mask: Tensor,
     lights: Sequence[Light],
     *,
-    gain: float | Tensor | None = None,
+    gain: Gain | None = None,
     original: Sequence[Light] | None = None,
     material: Tensor | None = None,
+    curve: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
     """Replace the masked part of photographs by the model under new lights.
 
@@ -38,10 +40,13 @@ def relight(
         normal: `[B or 1, 3, H, W]`, x right, y up, z to the viewer, who is far away.
         mask: `[B or 1, 1, H, W]`, 0…1; its soft edge blends in linear light.
         lights: directional lights in the normals' frame.
-        gain: the photograph's radiance for a shaded radiance of 1; where None, `matching_gain`.
+        gain: the photograph's radiance for a shaded radiance of 1; where None, `matching_gain`; or
+            what finds it from the mean image under the settings and the mask.
         original: the lights that the photographs were taken under: the photographs' own texture
             (see `texture_of`) is kept then. None leaves the model alone.
         material: of a palette, as in `GBuffer.material`.
+        curve: what the new light goes through before it joins the photograph, which went through a
+            camera's.
 
     Returns:
         `[B, 3, H, W]` scene-linear RGB, equal to `photo` where the mask is 0.
@@ -49,10 +54,17 @@ def relight(
     Raises:
         InputError: sizes that differ, or an empty mask.
     """
-    relit = relit_under(
-        model, photo, normal, mask, [lights], gain=gain, original=original, material=material
-    )
-    return relit[0]
+    return relit_under(
+        model,
+        photo,
+        normal,
+        mask,
+        [lights],
+        gain=gain,
+        original=original,
+        material=material,
+        curve=curve,
+    )[0]
 
 
 def relit_under(
@@ -62,9 +74,10 @@ def relit_under(
     mask: Tensor,
     settings: Sequence[Sequence[Light] | Light],
     *,
-    gain: float | Tensor | None = None,
+    gain: Gain | None = None,
     original: Sequence[Light] | None = None,
     material: Tensor | None = None,
+    curve: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
     """`[settings, B, 3, H, W]`: the photographs once under each setting of lights.
 
@@ -79,7 +92,10 @@ def relit_under(
         shaded = shaded * texture_of(photo, normal, mask, original)
     if gain is None:
         gain = matching_gain(photo, shaded.mean(dim=0), mask)
-    return photo + mask * (gain * shaded - photo)
+    elif callable(gain):
+        gain = gain(shaded.mean(dim=0), mask)
+    lit = gain * shaded
+    return photo + mask * ((lit if curve is None else curve(lit)) - photo)
 
 
 def texture_of(photo: Tensor, normal: Tensor, mask: Tensor, lights: Sequence[Light]) -> Tensor:

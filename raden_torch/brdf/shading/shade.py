@@ -289,6 +289,12 @@ def warn_if_black(image: Tensor, lights: Sequence[Light]) -> None:
     if not lights or bool((image != 0).any()):
         return
     lamps = ", ".join(f"{type(light).__name__} {_at(light)}" for light in lights[:_LAMPS_NAMED])
+    if all(_is_dark(light) for light in lights):
+        warnings.warn(
+            f"the picture is black: expected a light of more than 0, got {lamps} without any",
+            stacklevel=2,
+        )
+        return
     more = f" and {len(lights) - _LAMPS_NAMED} more" if len(lights) > _LAMPS_NAMED else ""
     warnings.warn(
         f"the picture is black: no lamp ({lamps}{more}) is above the horizon of anything in view; "
@@ -296,6 +302,11 @@ def warn_if_black(image: Tensor, lights: Sequence[Light]) -> None:
         "surface",
         stacklevel=2,
     )
+
+
+def _is_dark(light: Light) -> bool:
+    amounts = (getattr(light, name, None) for name in ("irradiance", "intensity", "radiance"))
+    return any(x is not None and not bool((torch.as_tensor(x) != 0).any()) for x in amounts)
 
 
 def _at(light: Light) -> str:

@@ -25,7 +25,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.brdf.shading.environment import EnvironmentLight
+from raden_torch.brdf.shading.environment import EnvironmentLight, version_of
 from raden_torch.brdf.shading.latlong import (
     SphereBlur,
     about_y,
@@ -106,13 +106,13 @@ class Surroundings:
 
 def levels_of(radiance: Tensor) -> list[Tensor]:
     """The means over the cells of every ring, kept for as long as the map is, unchanged."""
-    kept = _levels.get(radiance)
-    if kept is None or kept[0] != radiance._version:
+    version, kept = version_of(radiance), _levels.get(radiance)
+    if kept is None or version is None or kept[0] != version:
         blur = SphereBlur(radiance)
         # rings whose cells differ by a fifth share a map
         steps = [round(math.log(ring.size) / math.log(1.2)) for ring in rings()]
         maps = {step: blur.octahedral(_SIGMA * 1.2**step) for step in set(steps)}
-        kept = (radiance._version, [maps[step] for step in steps])
+        kept = (version, [maps[step] for step in steps])
         _levels[radiance] = kept
     return kept[1]
 

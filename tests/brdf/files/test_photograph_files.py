@@ -18,6 +18,7 @@ import torch
 from PIL import Image
 
 import raden_torch as rt
+from raden_torch.brdf.files.display import Display
 from raden_torch.brdf.files.image_file import (
     Photograph,
     read_mask,
@@ -342,7 +343,7 @@ def scene(tmp_path: Path, model: Path) -> dict[str, Any]:
         "mask": tmp_path / "m.png",
         "model": model,
         "lights": [lamp],
-        "exposure_ev": 0.0,
+        "display": Display(0.0),
     }
 
 
@@ -427,3 +428,33 @@ def test_profiles_are_told_by_every_format(tmp_path: Path) -> None:
         picture.save(tmp_path / name, icc_profile=data.getvalue())
         with pytest.raises(InputError, match=f"{name}: expected an RGB or grey profile"):
             read_photograph(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr"])
+def test_relit_photographs_have_the_options_of_pictures(
+    tmp_path: Path, scene: dict[str, Any], suffix: str
+) -> None:
+    """The masked half is exposed and toned, in whole numbers; the rest stays; P3 is read back."""
+    save(tmp_path / "a.png", np.full((H, W, 3), 100 * 257, np.uint16))
+    before = read_photograph(tmp_path / "a.png").linear
+    out = tmp_path / f"out{suffix}"
+    shown = Display(1.0, "aces", colour_space="display-p3")
+    relight_files([tmp_path / "a.png"], output=out, **{**scene, "display": shown})
+    found = read_photograph(out).linear
+    assert torch.allclose(found[..., :4], before[..., :4], atol=1e-3)
+    x = 0.6 * 1.0  # half of white, a stop brighter
+    toned = x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14)
+    wanted = toned if suffix == ".png" else 1.0
+    assert torch.allclose(found[..., 4:], torch.tensor(wanted), atol=2e-3)
+    scene["display"] = Display(colour_space="acescg")
+    with pytest.raises(InputError, match=r"acescg: expected a file name that ends in \.exr"):
+        relight_files([tmp_path / "a.png"], output=tmp_path / "b.png", **scene)
+
+
+def test_relit_by_key(tmp_path: Path, scene: dict[str, Any]) -> None:
+    save(tmp_path / "a.png", np.full((H, W, 3), 100 * 257, np.uint16))
+    relight_files(
+        [tmp_path / "a.png"], output=tmp_path / "o.png", **{**scene, "display": Display("key")}
+    )
+    found = read_photograph(tmp_path / "o.png").linear[..., 4:]
+    assert torch.allclose(found, torch.tensor(0.18), atol=1e-3)

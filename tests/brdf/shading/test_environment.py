@@ -10,8 +10,9 @@ import torch
 
 import raden_torch as rt
 from raden_torch.brdf.files.environment_file import load_environment
-from raden_torch.brdf.shading import latlong
+from raden_torch.brdf.shading import environment, latlong
 from raden_torch.brdf.shading.environment import EnvironmentLight
+from raden_torch.brdf.shading.shade import warn_if_black
 from raden_torch.brdf.shading.sphere_gbuffer import sphere
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
@@ -128,6 +129,39 @@ def test_visibility_darkens_one_light(shell) -> None:
         both = rt.shade(shell, gbuffer, [lamp, replace(lamp, visibility=seen)])
         alone = rt.shade(shell, gbuffer, lamp)
     torch.testing.assert_close(both, alone * (1 + seen))
+
+
+def test_a_map_is_checked_once_and_again_when_it_was_written(monkeypatch) -> None:
+    calls = []
+    check = environment.check_map
+    monkeypatch.setattr(environment, "check_map", lambda *a: (calls.append(1), check(*a)))
+    light = EnvironmentLight(bright())
+    replace(replace(light, intensity=2.0), rotation_deg=5.0)
+    assert len(calls) == 1
+    light.radiance[0, 1, 2] = math.nan
+    with pytest.raises(InputError, match="row 1, column 2"):
+        replace(light, intensity=3.0)
+    with torch.inference_mode():
+        uncounted = EnvironmentLight(bright())
+        uncounted.radiance[0, 1, 2] = -1.0
+        with pytest.raises(InputError, match="row 1, column 2"):
+            replace(uncounted, intensity=3.0)
+
+
+@pytest.mark.parametrize(
+    ("light", "said"),
+    [
+        (EnvironmentLight(torch.zeros(3, 4, 8)), "expected a light of more than 0"),
+        (rt.DirectionalLight((0, 0, 1), irradiance=0.0), "expected a light of more than 0"),
+        (rt.DirectionalLight((0, 0, -1)), "is above the horizon of anything"),
+    ],
+)
+def test_a_black_picture_is_told_by_its_cause(light, said) -> None:
+    image = torch.zeros(1, 3, 4, 4)
+    with pytest.warns(UserWarning, match=said):
+        warn_if_black(image, [light])
+    image[0, 0, 0, 0] = 1e-3
+    warn_if_black(image, [light])
 
 
 def test_bad_input_is_refused(shell, tmp_path) -> None:
