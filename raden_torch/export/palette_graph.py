@@ -52,7 +52,7 @@ class PaletteGraph(nn.Module):
     def forward(
         self, normal: Tensor, light: Tensor, view: Tensor, material: Tensor
     ) -> tuple[Tensor, ...]:
-        """f_r and both cosines, as `RuntimeGraph`.
+        """f_r and what `RuntimeGraph` gives beside it.
 
         Args:
             material: `[..., 1, H, W]` indices, rounded; or `[B, K, H, W]` weights.
@@ -61,22 +61,22 @@ class PaletteGraph(nn.Module):
         if self.form.by == "weights":
             n, l, v = (m.unsqueeze(1) for m in (normal, light, view))  # noqa: E741
             columns = (self.get_buffer(f"column_{i}") for i in range(self.numbers.shape[1]))
-            f, *cosines = self._read(n, l, v, tuple(columns))
+            f, cosine, shows = self._read(n, l, v, tuple(columns))
             mixed = (f * material.unsqueeze(2)).sum(1)
-            return (mixed, *(c.squeeze(1) for c in cosines))
+            return mixed, cosine.squeeze(1), shows.squeeze(1)
         nearest = (material + 0.5).floor()
         known = nearest.clamp(0, count - 1) == nearest  # NaN is none
         place = torch.where(known, nearest, torch.full((), float(count))).to(torch.int32)
         rows = self.numbers[place.squeeze(XYZ_DIM)].movedim(-1, XYZ_DIM)
         numbers = rows.split(1, XYZ_DIM)
-        f, cosine, least, both = self._read(normal, light, view, numbers)
-        return f, cosine, least, both + 0 * numbers[0]
+        f, cosine, shows = self._read(normal, light, view, numbers)
+        return f, cosine, shows + 0 * numbers[0]
 
     def _read(
         self, normal: Tensor, light: Tensor, view: Tensor, numbers: tuple[Tensor, ...]
     ) -> tuple[Tensor, ...]:
         c, k, along_u, half_v, odd_v, half_w, odd_w, nv, nw, base, last = numbers
-        u, v, w, cosine, least, quarter = address_parts(normal, light, view, c, k)
+        u, v, w, cosine, shows = address_parts(normal, light, view, c, k)
         x, y, z = u * along_u, v * half_v + odd_v, w * half_w + odd_w
         i, j, l = x.floor(), y.floor(), z.floor()  # noqa: E741
         node = torch.minimum(base + ((i * nv + j) * nw + l), last)
@@ -85,7 +85,7 @@ class PaletteGraph(nn.Module):
         second = (node.squeeze(XYZ_DIM) + row).to(torch.int32).clamp(0, self.last)
         rows = torch.cat([packed(member.table) for member in self.form.each])
         near, far = (rows[at].movedim(-1, XYZ_DIM) for at in (first, second))
-        return interpolated(near, far, (x - i, y - j, z - l)), cosine, least, quarter
+        return interpolated(near, far, (x - i, y - j, z - l)), cosine, shows
 
 
 def _numbers(member: RuntimeForm, start: int, end: int) -> Tensor:

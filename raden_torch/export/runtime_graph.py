@@ -18,6 +18,8 @@ from raden_torch.export.forms import RuntimeForm
 from raden_torch.geometry import XYZ_DIM
 
 _EPS = torch.finfo(torch.float32).eps
+_LEAST_SQUARE = 1e-12
+"""The least |d|² that is divided by where N, L and V are parallel."""
 _COEFFICIENTS = torch.tensor(
     [[1.0, 0.0, 0.0, 0.0], [-1.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 1.0, 0.0], [1.0, -1.0, -1.0, 1.0]]
 )
@@ -56,11 +58,20 @@ def length(v: Tensor) -> Tensor:
     return torch.sqrt(dot(v, v))
 
 
-def cross(a: Tensor, b: Tensor) -> Tensor:
-    """a × b. `linalg.cross` becomes eight operators more."""
-    (x, y, z), (i, j, k) = xyz(a), xyz(b)
-    first = torch.cat([y, z, x], XYZ_DIM) * torch.cat([k, i, j], XYZ_DIM)
-    return first - torch.cat([z, x, y], XYZ_DIM) * torch.cat([j, k, i], XYZ_DIM)
+def yzx(vectors: Tensor) -> Tensor:
+    """y, z and x of `[..., 3, H, W]`, in one operator."""
+    return _components(vectors, [1, 2, 0])
+
+
+def zxy(vectors: Tensor) -> Tensor:
+    """z, x and y of `[..., 3, H, W]`, in one operator."""
+    return _components(vectors, [2, 0, 1])
+
+
+def _components(vectors: Tensor, order: list[int]) -> Tensor:
+    axis = vectors.dim() + XYZ_DIM
+    # int64 indices give silently wrong pictures in some browsers
+    return vectors.index_select(axis, torch.tensor(order, dtype=torch.int32))
 
 
 class RuntimeGraph(nn.Module):
@@ -71,40 +82,40 @@ class RuntimeGraph(nn.Module):
         self.form = form
 
     def forward(self, normal: Tensor, light: Tensor, view: Tensor) -> tuple[Tensor, ...]:
-        """f_r, and both cosines.
+        """f_r, and where it counts.
 
         Returns:
             f_r `[..., 3, H, W]` in 1/sr, which means nothing unless both cosines are above 0; the
-            cosine that light falls in at; the lesser and the sum of both cosines times some number
-            above 0; `[..., 1, H, W]` each, NaN where a vector is invalid.
+            cosine that light falls in at; the lesser cosine times some number above 0;
+            `[..., 1, H, W]` each, the last two NaN where a vector is invalid.
         """
-        u, v, w, *cosines = address_parts(normal, light, view, *self.form.warp)
-        return (read(self.form.table, u, v, w), *cosines)
+        u, v, w, cosine, shows = address_parts(normal, light, view, *self.form.warp)
+        return read(self.form.table, u, v, w), cosine, shows
 
 
 def address_parts(
     normal: Tensor, light: Tensor, view: Tensor, c: Tensor | float, k: Tensor | float
 ) -> tuple[Tensor, ...]:
-    """u, v and w of the table's address, and the three that `RuntimeGraph` gives beside f_r.
+    """u, v and w of the table's address, and the two that `RuntimeGraph` gives beside f_r.
 
     Args:
         c, k: the warp, one for all or a map.
     """
     (n, _), l, v = scaled(normal), unit(light), unit(view)  # noqa: E741
-    d, p = v - l, cross(n, l)
+    d, p_zxy = v - l, n * yzx(l) - yzx(n) * l  # p = N × L
     n_l, n_v, square = dot(n, l), dot(n, v), dot(d, d)
     least, quarter = torch.minimum(n_l, n_v), (n_l + n_v) * 0.25
     # what d has along L + V is rounding: N without its part along L + V does not see it
-    n_d = dot(n - (l + v) * quarter, d)
-    # L ∥ V: the plane of L and N is taken
+    across_n = n - (l + v) * quarter
+    # L ∥ V: the plane of L and N is taken, and `across_n` for d, which need not be short in it
     parallel = square <= (4 * _EPS) ** 2
-    y, z = torch.where(parallel, length(p), n_d), dot(p, d)
-    delta = torch.sqrt(square)
-    span = torch.where(parallel, torch.ones(()), delta)
-    u = delta / (2 + torch.sqrt(torch.relu(4 - square)))
-    across = y / (y.abs() + span * least * c)
+    y, z = dot(across_n, torch.where(parallel, across_n, d)), dot(p_zxy, zxy(d))
+    span = torch.sqrt(torch.where(parallel, y.clamp(min=_LEAST_SQUARE), square))
+    u = torch.sqrt(square) / (2 + torch.sqrt(torch.relu(4 - square)))
+    shows = span * least  # not the lesser alone: some runtimes lose NaN there
+    across = y / (y.abs() + shows * c)
     along = z / (z.abs() + span * quarter * (2 * k))
-    return u, across, along, n_l / length(n), least, quarter
+    return u, across, along, n_l / length(n), shows
 
 
 def read(table: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:

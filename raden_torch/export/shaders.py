@@ -55,7 +55,7 @@ class EagerGraph(nn.Module):
         n, l, v = (geometry.normalised(m) for m in (normal, light, view))  # noqa: E741
         n_l, n_v = geometry.dot(n, l), geometry.dot(n, v)
         f = self.form.at_angles(*geometry.angles_from_unit_vectors(n, l, v))
-        return f, n_l, torch.minimum(n_l, n_v), n_l + n_v
+        return f, n_l, torch.minimum(n_l, n_v)
 
 
 class GBufferShading(nn.Module):
@@ -68,13 +68,12 @@ class GBufferShading(nn.Module):
 
     def forward(self, given: dict[str, Tensor]) -> Tensor:
         vectors = (given[name] for name in ("normal", "light", "view"))
-        f, cosine, least, both = self.reflection(*vectors, *_material(given))
+        f, cosine, shows = self.reflection(*vectors, *_material(given))
         mask = torch.relu(given["mask"])
         factor = mask.clamp(max=1)
         if self.output == "radiance":
             factor = cosine * factor * (given["irradiance"] * given["exposure"])
-        shows = least * mask  # not the lesser: some runtimes lose NaN there
-        return _lit(f * factor, shows, both)
+        return _lit(f * factor, shows * mask)
 
 
 class SceneShading(nn.Module):
@@ -93,7 +92,7 @@ class SceneShading(nn.Module):
         placed, colour = (given[name][None, :, :, None, None] for name in ("light", "light_colour"))
         near = (placed[:, :, 3:] > 0).float()
         to_light = placed[:, :, :3] - near * position
-        f, cosine, *cosines = self.reflection(
+        f, cosine, shows = self.reflection(
             given["normal"].unsqueeze(1),
             to_light,
             camera - position,
@@ -101,7 +100,7 @@ class SceneShading(nn.Module):
         )
         distance_squared = near * dot(to_light, to_light) + (1 - near)
         image = f * (cosine / distance_squared) * (colour * given["exposure"])
-        return _lit(image, *cosines).sum(1) * _share(given["mask"])
+        return _lit(image, shows).sum(1) * _share(given["mask"])
 
 
 def _material(given: dict[str, Tensor]) -> list[Tensor]:
@@ -109,12 +108,14 @@ def _material(given: dict[str, Tensor]) -> list[Tensor]:
     return [given[name] for name in ("material", "weights") if name in given]
 
 
-def _lit(image: Tensor, shows: Tensor, both: Tensor) -> Tensor:
-    """0 unless `shows` is above 0, and where the sum of both cosines is not finite.
+def _lit(image: Tensor, shows: Tensor) -> Tensor:
+    """0 unless `shows` is above 0, and where it is NaN.
 
-    One condition a pixel: one for each channel would take three times as long.
+    One condition a pixel: one for each channel would take three times as long. It is written with
+    `Less`, since OpenVINO's `Greater` is true for NaN.
     """
-    return torch.where(0 * both < shows, image, torch.zeros(()))
+    zero = torch.zeros(())
+    return torch.where(zero < shows, image, zero)
 
 
 def _share(mask: Tensor) -> Tensor:

@@ -29,6 +29,10 @@ def trace(shader: Shader, ports: list[GraphInput], output: str, opset: int) -> o
         """`rows[indices]` with the int32 indices as they are; the exporter's own takes int64."""
         return opset18.Gather(rows, indices[0], axis=0)
 
+    def gather_along(values: Any, axis: int, indices: Any) -> Any:
+        """`values.index_select(axis, indices)`, likewise."""
+        return opset18.Gather(values, indices, axis=axis)
+
     with _silent_exporter(), torch.no_grad():
         program = torch.onnx.export(
             shader.eval(),
@@ -37,7 +41,10 @@ def trace(shader: Shader, ports: list[GraphInput], output: str, opset: int) -> o
             output_names=[PUBLIC + output],
             opset_version=opset,
             dynamic_shapes={"tensors": tuple(_dynamic(port) for port in ports)},
-            custom_translation_table={torch.ops.aten.index.Tensor: gather_rows},
+            custom_translation_table={
+                torch.ops.aten.index.Tensor: gather_rows,
+                torch.ops.aten.index_select.default: gather_along,
+            },
             dynamo=True,
             external_data=False,
             verbose=False,
