@@ -14,7 +14,7 @@ from torch import Tensor
 
 from raden_torch import geometry
 from raden_torch.brdf.materials.palette import Palette
-from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
+from raden_torch.brdf.materials.surface import Reflection, Surface, SurfaceReflection, reflected
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.by_material import shade_palette
@@ -126,7 +126,7 @@ def _lit(
             lamps.append(light)
     image = None
     if lamps or not around:
-        one_table = _in_one_table(model)
+        one_table = _in_one_table(model, gbuffer)
         if one_table is not None:
             own = None if kept is None else (kept, tuple(id(light) for light in lamps))
             image = _by_kernel(one_table, gbuffer, lamps, tolerance, own)
@@ -182,10 +182,12 @@ def checked_visibility(light: Light, gbuffer: GBuffer) -> Tensor:
     return torch.nan_to_num(seen.float(), nan=0.0).clamp(0, 1)
 
 
-def _in_one_table(model: Reflection) -> RadenBrdf | None:
+def _in_one_table(model: Reflection, gbuffer: GBuffer) -> RadenBrdf | None:
     """What the fused kernel can read: a `RadenBrdf`, or a baked material, which is read as one."""
     if type(model) is RadenBrdf:
         return model
+    if gbuffer.layer_normal is not None and isinstance(model, SurfaceReflection):
+        return None  # what has layers and a surface of its own
     baked = getattr(model, "runtime_brdf", None)
     return None if baked is None else cast(RadenBrdf | None, baked())
 
@@ -292,9 +294,10 @@ def _by_kernel(
         return None
     lights = [x.lamps() if isinstance(x, EnvironmentLight) else x for x in lights]
     known = [light for light in lights if isinstance(light, KernelLight)]
-    if len(known) < len(lights) or gbuffer.layer_normal is not None:
+    if len(known) < len(lights):
         return None
     normal, position, mask = gbuffer.normal, gbuffer.position, gbuffer.mask
+    layers = gbuffer.layer_normal
     view = gbuffer.view if isinstance(gbuffer.view, Tensor) else None
     camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
     floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
@@ -308,16 +311,16 @@ def _by_kernel(
         if key not in found:
             found[key] = packed(known, position, normal)
         lamps = found[key]
-    inputs = (normal, view, position, camera, floating, lamps)
+    inputs = (normal, layers, view, position, camera, floating, lamps)
     if not kernel.takes(model, *inputs) or kernel.asks_for_gradient(model, *inputs):
         return None
     for lamp in lamps[:1]:
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
-    if trades and view is not None:
+    if trades and view is not None and layers is None:
         sphere = _sphere(model, normal, view, lights, lamps, tolerance / 2)
         if sphere is not None:
             return kernel.look_up(sphere, normal, floating)
-    return kernel.shade(model, normal, view, position, camera, floating, lamps)
+    return kernel.shade(model, normal, view, position, camera, floating, lamps, layers)
 
 
 def _sphere(
