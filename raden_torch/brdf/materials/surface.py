@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 import torch
 from torch import Tensor
@@ -45,6 +46,12 @@ class SurfaceReflection(Reflection, Protocol):
 
     def of_surface(self, surface: Surface, l: Tensor) -> Tensor:  # noqa: E741
         """f_r in 1/sr for unit (or zero) directions to the light, 0 below the horizon."""
+
+
+def formula_of(material: Reflection) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """f_r of n, l and v by a material's own formula, where it also has a table."""
+    own = getattr(material, "formula", material.of_unit_vectors)
+    return cast(Callable[[Tensor, Tensor, Tensor], Tensor], own)
 
 
 def reflected(material: Reflection, surface: Surface, l: Tensor) -> Tensor:  # noqa: E741

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from numbers import Real
 from typing import cast, get_args
@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.materials.metal import Powder
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection, Surface, SurfaceReflection, reflected
 from raden_torch.brdf.model import kernel
@@ -115,6 +116,9 @@ def _lit(
     """
     if isinstance(model, Palette):
         return shade_palette(model, gbuffer, lights, partial(_lit, tolerance=tolerance, kept={}))
+    if isinstance(model, Powder) and model.varies:
+        parts = _by_density(model, gbuffer)
+        return sum(_lit(part, cut, lights, tolerance) for part, cut in parts)  # type: ignore[return-value]
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
     around: list[EnvironmentLight] = []
@@ -136,6 +140,29 @@ def _lit(
         found = _under_surroundings(model, gbuffer, around)
         image = found if image is None else image + found
     return cast(Tensor, image)
+
+
+def _by_density(powder: Powder, gbuffer: GBuffer) -> list[tuple[Reflection, GBuffer]]:
+    """Flakes and ground of a powder whose density is a map, each with its share of the mask, so
+    that each is shaded by its own table, and only where it shows.
+
+    Raises:
+        InputError: a map of another size.
+    """
+    density = cast(Tensor, powder.density)
+    sides = zip(density.shape, gbuffer.normal.shape, (False, True, False, False), strict=True)
+    if not all(one or own in (1, side) for own, side, one in sides):
+        b, _, h, w = gbuffer.normal.shape
+        raise InputError(
+            f"density: expected a map [{b}, 1, {h}, {w}], as the normals, got "
+            f"{list(density.shape)}; in a palette, give flakes and ground, and their weights"
+        )
+    share = density.to(gbuffer.normal.device, powder.working_dtype(gbuffer.normal))
+    mask = 1.0 if gbuffer.mask is None else torch.nan_to_num(gbuffer.mask.to(share), nan=0.0)
+    return [
+        (part, replace(gbuffer, mask=own * mask))
+        for part, own in ((powder.flakes, share), (powder.ground, 1 - share))
+    ]
 
 
 def _is_prefiltered(model: Reflection, gbuffer: GBuffer, light: EnvironmentLight) -> bool:
