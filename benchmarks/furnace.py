@@ -3,7 +3,7 @@
     python benchmarks/furnace.py
 
 A Markdown table of directional albedos (luminance Y), by quadrature over the hemisphere, for
-docs/lacquer_and_metal.md.
+docs/lacquer_and_metal.md: of the formula, then of the runtime table that `shade` reads.
 """
 
 from __future__ import annotations
@@ -57,13 +57,16 @@ def main() -> None:
     print("|---|---|" + "---|" * len(INCIDENCE))
     for name, (material, lossless) in MATERIALS.items():
         coated = isinstance(material, Coated)
-        f = material._parts(UP, once=True, gloss=True) if coated else material.of_unit_vectors
+        formula = material._parts(UP, once=True, gloss=True) if coated else material.formula
         cells = []
         for degrees in INCIDENCE:
             a = math.radians(degrees)
             view = torch.tensor([math.sin(a), 0, math.cos(a)], dtype=torch.float64)
-            albedo = (f(UP, light, view.view(1, 3, 1, 1)) * share).sum((0, 2, 3)) @ LUMINANCE
-            cells.append(f" {albedo:.3f} |")
+            albedos = (
+                (f(UP, light, view.view(1, 3, 1, 1)) * share).sum((0, 2, 3)) @ LUMINANCE
+                for f in (formula, material.of_unit_vectors)
+            )
+            cells.append(" {:.3f} {:.3f} |".format(*albedos))
         print(f"| {name} | {'yes' if lossless else ''} |{''.join(cells)}", flush=True)
 
 

@@ -67,7 +67,7 @@ std::vector<std::string> levels() {
 
 // Rows that follow each other without a gap in every map are one long row, and so is one column.
 void join_rows(Scene& s, Map& further) {
-    Map* const maps[] = {&s.normal, &s.light, &s.view, &s.position, &s.mask, &further};
+    Map* const maps[] = {&s.normal, &s.layers, &s.light, &s.view, &s.position, &s.mask, &further};
     if (s.columns == 1)
         for (Map* m : maps) m->column = m->row;
     for (const Map* m : maps)
@@ -179,14 +179,15 @@ NB_MODULE(_kernel, m) {
         "for each slice of the pixels.");
     m.def(
         "shade",
-        [](TableOf table, WarpOf warp, MapOf normal, std::optional<MapOf> view,
-           std::optional<MapOf> position, std::optional<MapOf> camera, std::optional<MapOf> mask,
+        [](TableOf table, WarpOf warp, MapOf normal, std::optional<MapOf> layers,
+           std::optional<MapOf> view, std::optional<MapOf> position, std::optional<MapOf> camera, std::optional<MapOf> mask,
            std::int64_t lights, int light_count, std::array<std::int64_t, 3> size,
            std::int64_t image, const std::string& level, int threads) {
             Scene s;
             s.table = as_table(table, warp);
             s.batch = size[0], s.rows = size[1], s.columns = size[2];
-            s.normal = as_map(normal), s.view = as_map(view), s.position = as_map(position);
+            s.normal = as_map(normal), s.layers = as_map(layers), s.view = as_map(view);
+            s.position = as_map(position);
             s.camera = as_map(camera), s.mask = as_map(mask);
             s.lights = reinterpret_cast<const raden::Light*>(lights);
             s.lit = true;
@@ -200,8 +201,8 @@ NB_MODULE(_kernel, m) {
             nb::gil_scoped_release released;
             run(s, level, threads);
         },
-        nb::arg("table"), nb::arg("warp"), nb::arg("normal"), nb::arg("view").none(), nb::arg("position").none(),
-        nb::arg("camera").none(), nb::arg("mask").none(), nb::arg("lights"),
+        nb::arg("table"), nb::arg("warp"), nb::arg("normal"), nb::arg("layers").none(),
+        nb::arg("view").none(), nb::arg("position").none(), nb::arg("camera").none(), nb::arg("mask").none(), nb::arg("lights"),
         nb::arg("light_count"), nb::arg("size"), nb::arg("image"), nb::arg("level"),
         nb::arg("threads"), "Radiance of a G-buffer under lights into an image [B, 3, H, W].");
 }

@@ -43,6 +43,7 @@ struct LitSphere {
 struct Scene {
     long batch = 0, rows = 0, columns = 0;
     Map normal, light, view, position, mask;  // without data where the scene has none
+    Map layers;   // normals of film layers that lean against the surface
     Map camera;                               // [B, 3]; the view is camera − position where given
     bool lit = false;                         // by lights; else f_r itself, with `light` as a map
     LitSphere sphere;                         // instead of lights, where it has values

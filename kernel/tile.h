@@ -38,6 +38,7 @@ struct Tile {
     alignas(64) float rgb[4 * tile_pixels];
     alignas(64) float sum[3][tile_pixels], masked[tile_pixels];
     alignas(64) float n[3][tile_pixels], v[3][tile_pixels], n_v[tile_pixels];
+    alignas(64) float layer[3][tile_pixels];  // the layers' normals, where they lean; n_v is theirs
     unsigned seen[groups];
     alignas(64) float copies[4][3][tile_pixels];
     float low[3], high[3];  // of the positions
@@ -235,10 +236,15 @@ struct Tile {
         spread();
     }
 
+    static void keep(float planes[3][tile_pixels], int i, const Vector3<V>& from) {
+        from.x.store(planes[0] + i), from.y.store(planes[1] + i), from.z.store(planes[2] + i);
+    }
+
     // N and V of the pixels that the viewer sees.
     void see() {
-        const float *normals[3], *views[3];
+        const float *normals[3], *views[3], *layers[3];
         planes_of(scene.normal, 0, normals);
+        if (scene.layers.data) planes_of(scene.layers, 1, layers);
         const Map& camera = scene.camera;
         planes_of(camera.data ? scene.position : scene.view, 2, views);
         for (int g = 0; g < groups; ++g) {
@@ -252,11 +258,17 @@ struct Tile {
                         V(from[2 * camera.channel]) - view.z};
             }
             view = unit(view);
-            const V cosine = dot(normal, view);
+            V cosine = dot(normal, view);
             seen[g] = bits(V(0.0f) < cosine);
+            if (scene.layers.data) {
+                const Vector3<V> leaning = unit(load(layers, i));
+                cosine = dot(leaning, view);
+                seen[g] &= bits(V(0.0f) < cosine);
+                keep(layer, i, leaning);
+            }
             if (i + V::lanes > count) seen[g] &= count > i ? (1u << (count - i)) - 1 : 0u;
-            normal.x.store(n[0] + i), normal.y.store(n[1] + i), normal.z.store(n[2] + i);
-            view.x.store(v[0] + i), view.y.store(v[1] + i), view.z.store(v[2] + i);
+            keep(n, i, normal);
+            keep(v, i, view);
             cosine.store(n_v + i);
         }
     }
@@ -337,13 +349,19 @@ struct Tile {
             if (seen[g] == 0) continue;
             const int i = g * V::lanes;
             const float *normals[3] = {n[0], n[1], n[2]}, *views[3] = {v[0], v[1], v[2]};
-            const Vector3<V> normal = load(normals, i);
+            Vector3<V> normal = load(normals, i);
             V strength = 1.0f;
             const Vector3<V> to = light.kind == directional
                                       ? Vector3<V>{light.at[0], light.at[1], light.at[2]}
                                       : towards(light, load(positions, i), strength);
-            const V cos_i = dot(normal, to), cos_r = V::load(n_v + i);
+            V cos_i = dot(normal, to);
+            const V cos_r = V::load(n_v + i);
             strength = strength * cos_i;
+            if (scene.layers.data) {  // the surface's cosine, but the layers' place in the table
+                const float* layers[3] = {layer[0], layer[1], layer[2]};
+                normal = load(layers, i);
+                cos_i = dot(normal, to);
+            }
             const auto above = both(V(0.0f) < strength, both(V(0.0f) < cos_i, V(0.0f) < cos_r));
             const unsigned lanes = bits(above) & seen[g];
             if (lanes == 0) continue;

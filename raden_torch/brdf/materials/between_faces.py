@@ -116,7 +116,15 @@ def between_faces(
     first = orders.movedim(-1, 1)
     more = torch.linalg.solve(unit - weighted, weighted @ first)[..., _TRAPPED:, _TRAPPED:]
     values = torch.fft.irfft(more.movedim(0, 2), n=_AZIMUTHS, dim=2, norm="forward")
-    return BetweenFaces(leaving, values.permute(1, 3, 2, 0))
+    return BetweenFaces(*_to_the_normal(leaving, values.permute(1, 3, 2, 0)))
+
+
+def _to_the_normal(nodes: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+    """One more node, the normal itself, of which every azimuth is the same."""
+    for axis in (0, 1):
+        last = values.narrow(axis, values.shape[axis] - 1, 1).mean(2, keepdim=True)
+        values = torch.cat([values, last.expand(-1, -1, values.shape[2], -1)], axis)
+    return torch.cat([nodes, nodes.new_ones(1)]), values
 
 
 def _gauss(low: float, high: float, count: int) -> tuple[Tensor, Tensor]:

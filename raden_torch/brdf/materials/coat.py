@@ -28,6 +28,7 @@ from torch import Tensor
 from raden_torch.brdf.materials.between_faces import BetweenFaces, between_faces
 from raden_torch.brdf.materials.microfacet import OfCosine, albedo, checked_roughness, fresnel, lobe
 from raden_torch.brdf.materials.runtime import (
+    LEAST_BAKED,
     Formula,
     RuntimeBrdf,
     kept,
@@ -36,13 +37,17 @@ from raden_torch.brdf.materials.runtime import (
     runtime_brdf,
     state_of,
 )
-from raden_torch.brdf.materials.surface import Reflection, Surface, SurfaceReflection, reflected
+from raden_torch.brdf.materials.surface import (
+    Reflection,
+    Surface,
+    SurfaceReflection,
+    formula_of,
+    reflected,
+)
 from raden_torch.errors import InputError, check_type
 from raden_torch.geometry import dot
 
 BaseIn = Literal["coat", "air"]
-LEAST_BAKED = 0.03
-"""The smoothest gloss that the runtime table holds; a smoother one is computed beside it."""
 _INDEX = (1.0, 4.0)
 
 Numbers = float | Sequence[float]
@@ -168,10 +173,14 @@ class Coated:
         n, v = surface.normal, surface.view
         n_l, n_v = dot(n, l), dot(n, v)
         if self.base_in == "air":
-            f = reflected(self.base, surface, l)
+            at, w = surface, l
         else:
-            below = replace(surface, view=refracted(n, v, n_v, self.index))
-            f = reflected(self.base, below, refracted(n, l, n_l, self.index))
+            at = replace(surface, view=refracted(n, v, n_v, self.index))
+            w = refracted(n, l, n_l, self.index)
+        if surface.layer_normal is None and not _reads_more(self.base):
+            f = formula_of(self.base)(n, w, at.view)
+        else:
+            f = reflected(self.base, at, w)
         f = f * (self._passed(n_l) * self._passed(n_v))
         return torch.where((n_l > 0) & (n_v > 0), f, torch.zeros_like(f))
 
@@ -185,7 +194,7 @@ class Coated:
         if self.base_in == "air":
             return None
         return between_faces(
-            self.base.of_unit_vectors, self.index, self._face(), self._depth(like), like
+            formula_of(self.base), self.index, self._face(), self._depth(like), like
         )
 
     def _parts(self, like: Tensor, *, once: bool, gloss: bool) -> Formula:
@@ -231,4 +240,4 @@ def refracted(n: Tensor, w: Tensor, n_w: Tensor, index: float) -> Tensor:
 
 def _reads_more(base: Reflection) -> bool:
     """Whether a base may read more of the surface than its normal."""
-    return isinstance(base, SurfaceReflection) and not isinstance(base, Coated)
+    return isinstance(base, SurfaceReflection) and not hasattr(base, "formula")

@@ -21,8 +21,23 @@ from torch import Tensor
 from raden_torch import geometry
 from raden_torch.arrays import Floats
 from raden_torch.brdf.materials.microfacet import OfCosine, albedo, checked_roughness, lobe
-from raden_torch.brdf.materials.runtime import state_of
-from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
+from raden_torch.brdf.materials.runtime import (
+    LEAST_BAKED,
+    RuntimeBrdf,
+    kept,
+    layout_for,
+    least_roughness,
+    parameters_of,
+    runtime_brdf,
+    state_of,
+)
+from raden_torch.brdf.materials.surface import (
+    Reflection,
+    Surface,
+    SurfaceReflection,
+    formula_of,
+    reflected,
+)
 from raden_torch.colorimetry import XYZ_TO_SRGB
 from raden_torch.errors import InputError, check_type
 from raden_torch.geometry import dot
@@ -87,6 +102,17 @@ class Foil:
 
     def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
         """`[B, 3, H, W]` f_r in 1/sr of unit (or zero) vectors; 0 below the horizon."""
+        whole = self.runtime_brdf()
+        return self.formula(n, l, v) if whole is None else whole.of_unit_vectors(n, l, v)
+
+    def runtime_brdf(self) -> RuntimeBrdf | None:
+        """All of it in one table, which the fused kernels read; None where one cannot hold it."""
+        if self.roughness < LEAST_BAKED:
+            return None
+        return kept(self, "whole", self.state(), lambda: _baked(self))
+
+    def formula(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
+        """f_r by the formula itself: the reference, slower."""
         facet = facet_reflectance(self.metal, float(self.medium))
         once = lobe(n, l, v, self.roughness, facet)
         n_l, n_v = dot(n, l), dot(n, v)
@@ -148,15 +174,52 @@ class Powder:
 
     def of_surface(self, surface: Surface, l: Tensor) -> Tensor:  # noqa: E741
         """The same; the ground's layers may be turned."""
+        if surface.layer_normal is None and self._fits_one_table():
+            return self._whole().of_unit_vectors(surface.normal, l, surface.view)
+        return self._mixed(*(reflected(x, surface, l) for x in (self.flakes, self.ground)))
+
+    def runtime_brdf(self) -> RuntimeBrdf | None:
+        """All of it in one table, which the fused kernels read; None where one cannot hold it, or
+        where gradients are recorded."""
+        if not self._fits_one_table():
+            return None
+        whole = self._whole()
+        return None if whole.values.requires_grad else whole
+
+    def formula(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
+        """f_r by the formulas of the parts: the reference, slower."""
+        return self._mixed(*(formula_of(x)(n, l, v) for x in (self.flakes, self.ground)))
+
+    def _mixed(self, flakes: Tensor, ground: Tensor) -> Tensor:
         density = self.density
-        share = density.to(l) if isinstance(density, Tensor) else density
-        flakes, ground = (reflected(x, surface, l) for x in (self.flakes, self.ground))
+        share = density.to(flakes) if isinstance(density, Tensor) else density
         return share * flakes + (1 - share) * ground
+
+    def _fits_one_table(self) -> bool:
+        of_parts = all(
+            hasattr(x, "formula") or not isinstance(x, SurfaceReflection)
+            for x in (self.flakes, self.ground)
+        )
+        return of_parts and not self.varies and least_roughness(self) >= LEAST_BAKED
+
+    def _whole(self) -> RuntimeBrdf:
+        return kept(self, "whole", self.state(), lambda: _baked(self))
+
+    @property
+    def varies(self) -> bool:
+        """Whether the density is a map."""
+        return isinstance(self.density, Tensor) and self.density.ndim > 0
 
     def state(self) -> Any:
         density = self.density
         own = (id(density), density._version) if isinstance(density, Tensor) else density
         return own, state_of(self.flakes), state_of(self.ground)
+
+
+def _baked(material: Foil | Powder) -> RuntimeBrdf:
+    like = next(iter(parameters_of(material)), torch.zeros((), device="cpu"))
+    like = like.detach().to(material.working_dtype(like))
+    return runtime_brdf(material.formula, like, layout_for(least_roughness(material)))
 
 
 def coverage(flake_area: float | Tensor) -> float | Tensor:

@@ -8,8 +8,15 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.materials.coat import LEAST_BAKED, Coated
-from raden_torch.brdf.materials.runtime import Formula, RuntimeBrdf, layout_for, runtime_brdf
+from raden_torch.brdf.materials.coat import Coated
+from raden_torch.brdf.materials.metal import Foil, Powder
+from raden_torch.brdf.materials.runtime import (
+    LEAST_BAKED,
+    Formula,
+    RuntimeBrdf,
+    layout_for,
+    runtime_brdf,
+)
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
@@ -42,12 +49,12 @@ def one_table(material: Reflection, where: str = "material") -> RuntimeBrdf:
             f"{where}: roughness: expected at least {LEAST_BAKED:g}, whose highlight a table "
             f"holds, got {smoothest:g}"
         )
-    baked = material.runtime_brdf() if isinstance(material, Coated) else None
-    if baked is not None:
-        return RuntimeBrdf(baked.values.detach().float(), baked.layout)
-    formula: Formula = (
-        material.formula if isinstance(material, Coated) else material.of_unit_vectors
-    )
+    formula: Formula = material.of_unit_vectors
+    if isinstance(material, (Coated, Foil, Powder)):
+        baked = material.runtime_brdf()
+        if baked is not None:
+            return RuntimeBrdf(baked.values.detach().float(), baked.layout)
+        formula = material.formula
     with torch.no_grad():
         like = torch.zeros((), dtype=torch.float64, device="cpu")
         made = runtime_brdf(formula, like, layout_for(smoothest))

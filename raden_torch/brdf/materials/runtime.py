@@ -6,10 +6,12 @@ A material whose layers lie in the surface knows only the three angles, so the t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from typing import Any
 from weakref import WeakKeyDictionary
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -26,6 +28,11 @@ from raden_torch.brdf.model.runtime_table import (
     read_at,
 )
 from raden_torch.errors import InputError
+
+_PARTS = ("base", "ground", "flakes")
+
+LEAST_BAKED = 0.03
+"""The smoothest lobe, as GGX α, that a table holds; a smoother one is computed by its formula."""
 
 Formula = Callable[[Tensor, Tensor, Tensor], Tensor]
 """f_r `[B, 3, H, W]` in 1/sr of n, l, v, unit and above the horizon."""
@@ -103,7 +110,7 @@ def parameters_of(material: Any) -> list[Tensor]:
     """The parameters of a material and of the bases below it."""
     if isinstance(material, nn.Module):
         return list(material.parameters())
-    parts = (getattr(material, name, None) for name in ("base", "ground", "flakes"))
+    parts = (getattr(material, name, None) for name in _PARTS)
     return [p for part in parts if part is not None for p in parameters_of(part)]
 
 
@@ -120,6 +127,14 @@ def models_of(material: Any) -> list[RadenBrdf]:
 
 def _recorded(material: Any) -> bool:
     return torch.is_grad_enabled() and any(p.requires_grad for p in parameters_of(material))
+
+
+def least_roughness(material: Any) -> float:
+    """The smallest GGX α in a material and its parts; 0.07 where none has one."""
+    own = getattr(material, "roughness", None)
+    parts = (getattr(material, name, None) for name in _PARTS)
+    found = [least_roughness(part) for part in parts if part is not None]
+    return min([*found, float(own)] if own is not None else found or [0.07])
 
 
 def layout_for(roughness: float) -> RuntimeLayout:
@@ -144,15 +159,75 @@ def runtime_brdf(formula: Formula, like: Tensor, layout: RuntimeLayout) -> Runti
         torch.linspace(low, 1, count, dtype=torch.float64, device=like.device)
         for low, count in zip((0.0, -1.0, -1.0), layout.shape, strict=True)
     )
-    # where light and view both graze a lobe is infinite: these ends hold what is half a node before
-    u, w = (
-        axis.clamp(-end, end)
-        for axis, end in ((u, 1 - 0.5 / (len(u) - 1)), (w, 1 - 1 / (len(w) - 1)))
-    )
-    angles = angles_of(layout.warp, u[:, None, None], v[:, None], w)
+    # where light and view both graze a lobe is infinite: these ends hold what is half a node
+    # before, and so do those of v where the two are one direction
+    ends = (1 - step / (len(axis) - 1) for axis, step in ((u, 0.5), (v, 1.0), (w, 1.0)))
+    at_u, at_v, at_w = (axis.clamp(-end, end) for axis, end in zip((u, v, w), ends, strict=True))
+    v = v.expand(len(u), -1).clone()
+    v[0] = at_v
+    angles = angles_of(layout.warp, at_u[:, None, None], v[..., None], at_w)
     at = (a.to(like.dtype).reshape(1, 1, -1, layout.shape[2]) for a in angles)
     f = formula(*geometry.vectors_from_angles(*at))
     values = f[0].permute(1, 2, 0).reshape(*layout.shape, 3)
     if not bool(torch.isfinite(values.detach()).all()):
         raise InputError("material: expected a finite f_r in every geometry, got one that is not")
-    return RuntimeBrdf(balanced(values).contiguous(), layout)
+    made = RuntimeBrdf(balanced(values).contiguous(), layout)
+    for _ in range(2):  # the second time for what the first left between its knots
+        made = RuntimeBrdf(_bounded(made, angles), layout)
+    return made
+
+
+_KNOTS_DEG = (0.0, 4.0, 8.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 83.0, 86.0, 88.0, 89.0, 90.0)
+_SEEN_FROM_DEG = ((0.0, 0.5, 1.0, 2.0), *((x,) for x in _KNOTS_DEG[1:-1]), (89.0,))
+"""Incidences at which the albedo is taken, for each knot."""
+_LUMINANCE = (0.2126, 0.7152, 0.0722)
+_RADII, _TURNS = 96, 48
+
+
+@torch.no_grad()
+def _bounded(made: RuntimeBrdf, angles: tuple[Tensor, ...]) -> Tensor:
+    """A table's values, lowered where it would reflect more than all light.
+
+    Between the nodes a narrow lobe is not its formula: by the least-squares nodes it is right on
+    average, but the directional albedo (luminance) may be above 1 by some tenths of a percent. A
+    node is divided by the larger albedo of its two directions, where that is above 1: this keeps
+    reciprocity, and what it leaves is at most 1.
+
+    Args:
+        angles: of the nodes, `[U, V, W]` each, in radians.
+    """
+    albedos = [max(_luminous_albedo(made, x) for x in each) for each in _SEEN_FROM_DEG]
+    albedos[1] = max(albedos[:2])  # a cell of the table is some 3 degrees wide at the normal
+    excess = torch.tensor(albedos, dtype=torch.float64, device="cpu").clamp(min=1)
+    if bool((excess == 1).all()):
+        return made.values
+    incidence, receiving, tilt = (a.cpu().double() for a in angles)
+    knots = torch.tensor(_KNOTS_DEG, dtype=torch.float64, device="cpu").deg2rad()
+    by = torch.ones_like(incidence)
+    for angle in (incidence, receiving):
+        polar = torch.acos((angle.cos() * tilt.cos()).clamp(0, 1))
+        high = torch.searchsorted(knots, polar.contiguous()).clamp(1, len(knots) - 1)
+        part = (polar - knots[high - 1]) / (knots[high] - knots[high - 1])
+        by = torch.maximum(by, excess[high - 1].lerp(excess[high], part))
+    return made.values / by[..., None].to(made.values)
+
+
+def _luminous_albedo(made: RuntimeBrdf, incidence_deg: float) -> float:
+    """∫ f_r cos θ dω of light from one direction, in luminance.
+
+    Gauss-Legendre around the mirror direction, the closer to it the closer the nodes.
+    """
+    like = made.values
+    node, weight = np.polynomial.legendre.leggauss(_RADII)
+    at = torch.from_numpy((node + 1) / 2).to(like)[:, None]
+    radius = math.pi * at**3
+    share = torch.from_numpy(weight / 2).to(like)[:, None] * 3 * math.pi * at**2 * radius.sin()
+    turn = (torch.arange(_TURNS, device=like.device).to(like) + 0.5) * (math.pi / _TURNS)
+    x, y, z = radius.sin() * turn.cos(), radius.sin() * turn.sin(), radius.cos().expand(-1, _TURNS)
+    a = math.radians(incidence_deg)
+    v = torch.stack([math.cos(a) * x - math.sin(a) * z, y, math.sin(a) * x + math.cos(a) * z])[None]
+    l = like.new_tensor([math.sin(a), 0, math.cos(a)]).view(1, 3, 1, 1)  # noqa: E741
+    n = like.new_tensor([0, 0, 1]).view(1, 3, 1, 1)
+    f = read(like, made.layout.warp, n.expand_as(v), l.expand_as(v), v)
+    of_rgb = (f * v[:, 2:].clamp(min=0) * share).sum((0, 2, 3)) * (2 * math.pi / _TURNS)
+    return float(of_rgb @ like.new_tensor(_LUMINANCE))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol, cast, runtime_checkable
 
 import torch
 from torch import Tensor
+
+from raden_torch.geometry import dot
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +48,22 @@ class SurfaceReflection(Reflection, Protocol):
         """f_r in 1/sr for unit (or zero) directions to the light, 0 below the horizon."""
 
 
+def formula_of(material: Reflection) -> Callable[[Tensor, Tensor, Tensor], Tensor]:
+    """f_r of n, l and v by a material's own formula, where it also has a table."""
+    own = getattr(material, "formula", material.of_unit_vectors)
+    return cast(Callable[[Tensor, Tensor, Tensor], Tensor], own)
+
+
 def reflected(material: Reflection, surface: Surface, l: Tensor) -> Tensor:  # noqa: E741
     """f_r of a material, which knows `of_surface` or not: `[B, 3, H, W]` in 1/sr.
 
-    One that does not is its film layers: it turns with `layer_normal`.
+    One that does not is its film layers: it turns with `layer_normal`, and is 0 below the horizon
+    of the layers or of the surface.
     """
     if isinstance(material, SurfaceReflection):
         return material.of_surface(surface, l)
-    n = surface.normal if surface.layer_normal is None else surface.layer_normal
-    return material.of_unit_vectors(n, l, surface.view)
+    n, v, layers = surface.normal, surface.view, surface.layer_normal
+    if layers is None:
+        return material.of_unit_vectors(n, l, v)
+    f = material.of_unit_vectors(layers, l, v)
+    return torch.where((dot(n, l) > 0) & (dot(n, v) > 0), f, torch.zeros_like(f))

@@ -53,10 +53,10 @@ torch.library.define(
 )
 torch.library.define(
     "raden_torch::shade",
-    "(Tensor normal, Tensor? view, Tensor? position, Tensor? camera, Tensor? mask, Tensor lights, "
-    f"{_TABLE_ARGUMENTS}) -> Tensor",
+    "(Tensor normal, Tensor? layers, Tensor? view, Tensor? position, Tensor? camera, Tensor? mask, "
+    f"Tensor lights, {_TABLE_ARGUMENTS}) -> Tensor",
 )
-_MAPS = 6
+_MAPS = 7
 """The arguments of `shade` before the table."""
 
 
@@ -131,6 +131,7 @@ def shade(
     camera: Tensor | None,
     mask: Tensor | None,
     lights: Tensor,
+    layers: Tensor | None = None,
 ) -> Tensor:
     """The radiance of a G-buffer by the kernel; `takes` has to agree first.
 
@@ -139,8 +140,10 @@ def shade(
         normal, view, position, mask: as in `GBuffer`, maps `[B, C, H, W]`.
         camera: `[1 or B, 3]`; the view is camera − position where no view is given.
         lights: `[lights, 1 or B, 13]` as `lights.packed` makes it.
+        layers: `layer_normal` of the G-buffer: the table is read with it, and the surface's normal
+            keeps the cosine.
     """
-    maps = (normal, view, position, camera, mask, lights)
+    maps = (normal, layers, view, position, camera, mask, lights)
     return torch.ops.raden_torch.shade(*maps, model.runtime_table(), model.layout.warp)
 
 
@@ -188,7 +191,7 @@ def _brdf(
 
 @torch.library.impl("raden_torch::shade", "CPU")
 def _shade(*arguments: Any) -> Tensor:
-    (normal, view, position, camera, mask, lights), (table, warp) = (
+    (normal, layers, view, position, camera, mask, lights), (table, warp) = (
         arguments[:_MAPS],
         arguments[_MAPS:],
     )
@@ -199,7 +202,7 @@ def _shade(*arguments: Any) -> Tensor:
         return image
     maps = [
         None if m is None else m.float().expand(b, -1, h, w)
-        for m in (normal, view, position, None if camera is None else camera[..., None, None], mask)
+        for m in (normal, layers, view, position, _as_map(camera), mask)
     ]
     lamps = lights.float().expand(-1, b, -1).contiguous()
     held = table.detach().float().contiguous()
@@ -214,6 +217,10 @@ def _shade(*arguments: Any) -> Tensor:
         torch.get_num_threads(),
     )
     return image
+
+
+def _as_map(camera: Tensor | None) -> Tensor | None:
+    return None if camera is None else camera[..., None, None]
 
 
 def _brdf_in_triton(*arguments: Any) -> Tensor:
@@ -249,13 +256,14 @@ def _shade_shape(normal: Tensor, *others: Any) -> Tensor:
 
 def _image_size(
     normal: Tensor,
+    layers: Tensor | None,
     view: Tensor | None,
     position: Tensor | None,
     camera: Tensor | None,
     mask: Tensor | None,
     lights: Tensor,
 ) -> tuple[int, int, int]:
-    views = [m[:, :1] for m in (normal, view, position, mask) if m is not None]
+    views = [m[:, :1] for m in (normal, layers, view, position, mask) if m is not None]
     batches = [len(camera)] if camera is not None else []
     views += [normal.new_empty(n, 1, 1, 1) for n in (*batches, lights.shape[1])]
     # not broadcast_shapes, which imports sympy when it is first called: half a second

@@ -90,6 +90,7 @@ def _square_beside(at, low, high):
 @triton.jit(do_not_specialize=["lamp_count"])
 def shade(
     normal,
+    layers,
     view,
     position,
     mask,
@@ -101,6 +102,7 @@ def shade(
     image,
     count,
     columns,
+    LAYERS: tl.constexpr,
     CAMERA: tl.constexpr,
     POSITION: tl.constexpr,
     MASK: tl.constexpr,
@@ -109,8 +111,9 @@ def shade(
     BLOCK: tl.constexpr,
 ):
     """Σ f_r E cos θi, times the mask; what is not finite is 0. With CAMERA, `view` is the camera
-    and the view camera − position. A block of which nothing is seen does nothing, and lamps
-    are left out as long as all that they can add to it, their reach, fits into what may be lost."""
+    and the view camera − position. With LAYERS, these are the normals that the table is read with.
+    A block of which nothing is seen does nothing, and lamps are left out as long as all that they
+    can add to it, their reach, fits into what may be lost."""
     b, y, x, kept = _pixels(count, columns, ONE_ROW, WIDE, BLOCK)
     worth = kept
     share = tl.full((BLOCK,), 1.0, tl.float32)
@@ -128,6 +131,11 @@ def shade(
     v = _unit(v)
     n_v = _dot(n, v)
     seen = worth & (n_v > 0)
+    leaning = n
+    if LAYERS:
+        leaning = _unit(_load(layers, b, y, x, worth))
+        n_v = _dot(leaning, v)
+        seen = seen & (n_v > 0)
     red = tl.zeros((BLOCK,), tl.float32)
     green, blue = red, red
     lit_by = tl.where(tl.max(seen.to(tl.int32), 0) > 0, lamp_count, 0)
@@ -165,7 +173,10 @@ def shade(
             n_l = _dot(n, to)
             strength *= n_l
             lit = seen & (n_l > 0) & (strength > 0)
-            f = _f_r(table, n, to, v, n_l, n_v, lit, BLOCK)
+            if LAYERS:
+                n_l = _dot(leaning, to)
+                lit = lit & (n_l > 0)
+            f = _f_r(table, leaning, to, v, n_l, n_v, lit, BLOCK)
             strength = tl.where(lit, strength, 0.0)
             red += strength * f[0] * tl.load(lamp + 4)
             green += strength * f[1] * tl.load(lamp + 5)

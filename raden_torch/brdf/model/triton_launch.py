@@ -29,7 +29,7 @@ _INT32 = 2**31 - 1
 
 FLAGS = {
     "reflect": (),
-    "shade": ("CAMERA", "POSITION", "MASK"),
+    "shade": ("LAYERS", "CAMERA", "POSITION", "MASK"),
     "differentiate": ("NORMAL", "LIGHT", "VIEW", "TABLE"),
 }
 
@@ -81,23 +81,25 @@ def shade(
 
     Args:
         size: of the image.
-        maps: normal, view, position, camera and mask.
+        maps: normal, layers, view, position, camera and mask.
     """
     b, h, w = size
-    normal, view, position, camera, mask = maps
+    normal, layers, view, position, camera, mask = maps
     image = lights.new_empty((b, 3, h, w), dtype=torch.float32)
     if image.numel() == 0:
         return image
     seen_from = view if camera is None else camera[..., None, None]
     full = [
-        None if m is None else m.expand(b, -1, h, w) for m in (normal, seen_from, position, mask)
+        None if m is None else m.expand(b, -1, h, w)
+        for m in (normal, layers, seen_from, position, mask)
     ]
-    size, (n, v, p, share, to), wide = _arranged([*full, image], join_images=False)
+    size, (n, leaning, v, p, share, to), wide = _arranged([*full, image], join_images=False)
     lamps = lights.float().contiguous().expand(-1, b, -1)
-    flags = {"CAMERA": camera is not None, "POSITION": p is not None, "MASK": share is not None}
+    given = (leaning, camera, p, share)
+    flags = {f: m is not None for f, m in zip(FLAGS["shade"], given, strict=True)}
     held = _runtime_form(table, warp)
     lamp = (lamps, len(lamps), lamps.stride(0), lamps.stride(1))
-    _launch("shade", size, wide, n, v, p or n, share or n, *lamp, held, to, **flags)
+    _launch("shade", size, wide, n, leaning or n, v, p or n, share or n, *lamp, held, to, **flags)
     return image
 
 

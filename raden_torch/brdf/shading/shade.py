@@ -13,8 +13,9 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.materials.metal import Powder
 from raden_torch.brdf.materials.palette import Palette
-from raden_torch.brdf.materials.surface import Reflection, Surface, reflected
+from raden_torch.brdf.materials.surface import Reflection, Surface, SurfaceReflection, reflected
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.parts import parts_of
@@ -118,6 +119,9 @@ def _lit(
         return shade_palette(model, gbuffer, lights, partial(_lit, tolerance=tolerance, kept={}))
     if gbuffer.diffuse_gain is not None or gbuffer.specular_gain is not None:
         return _with_gains(model, gbuffer, lights, tolerance, kept)
+    if isinstance(model, Powder) and model.varies:
+        parts = _by_density(model, gbuffer)
+        return sum(_lit(part, cut, lights, tolerance) for part, cut in parts)  # type: ignore[return-value]
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
     around: list[EnvironmentLight] = []
@@ -129,7 +133,7 @@ def _lit(
             lamps.append(light)
     image = None
     if lamps or not around:
-        one_table = _in_one_table(model)
+        one_table = _in_one_table(model, gbuffer)
         if one_table is not None:
             own = None if kept is None else (kept, tuple(id(light) for light in lamps))
             image = _by_kernel(one_table, gbuffer, lamps, tolerance, own)
@@ -168,6 +172,29 @@ def _with_gains(
         lit = lit if gain is None else lit * gain.to(lit)
         image = lit if image is None else image + lit
     return _lit(model, plain, [], 0.0) if image is None else image
+
+
+def _by_density(powder: Powder, gbuffer: GBuffer) -> list[tuple[Reflection, GBuffer]]:
+    """Flakes and ground of a powder whose density is a map, each with its share of the mask, so
+    that each is shaded by its own table, and only where it shows.
+
+    Raises:
+        InputError: a map of another size.
+    """
+    density = cast(Tensor, powder.density)
+    sides = zip(density.shape, gbuffer.normal.shape, (False, True, False, False), strict=True)
+    if not all(one or own in (1, side) for own, side, one in sides):
+        b, _, h, w = gbuffer.normal.shape
+        raise InputError(
+            f"density: expected a map [{b}, 1, {h}, {w}], as the normals, got "
+            f"{list(density.shape)}; in a palette, give flakes and ground, and their weights"
+        )
+    share = density.to(gbuffer.normal.device, powder.working_dtype(gbuffer.normal))
+    mask = 1.0 if gbuffer.mask is None else torch.nan_to_num(gbuffer.mask.to(share), nan=0.0)
+    return [
+        (part, replace(gbuffer, mask=own * mask))
+        for part, own in ((powder.flakes, share), (powder.ground, 1 - share))
+    ]
 
 
 def _is_prefiltered(model: Reflection, gbuffer: GBuffer, light: EnvironmentLight) -> bool:
@@ -214,10 +241,12 @@ def checked_visibility(light: Light, gbuffer: GBuffer) -> Tensor:
     return torch.nan_to_num(seen.float(), nan=0.0).clamp(0, 1)
 
 
-def _in_one_table(model: Reflection) -> RadenBrdf | None:
+def _in_one_table(model: Reflection, gbuffer: GBuffer) -> RadenBrdf | None:
     """What the fused kernel can read: a `RadenBrdf`, or a baked material, which is read as one."""
     if type(model) is RadenBrdf:
         return model
+    if gbuffer.layer_normal is not None and isinstance(model, SurfaceReflection):
+        return None  # what has layers and a surface of its own
     baked = getattr(model, "runtime_brdf", None)
     return None if baked is None else cast(RadenBrdf | None, baked())
 
@@ -335,9 +364,10 @@ def _by_kernel(
         return None
     lights = [x.lamps() if isinstance(x, EnvironmentLight) else x for x in lights]
     known = [light for light in lights if isinstance(light, KernelLight)]
-    if len(known) < len(lights) or gbuffer.layer_normal is not None:
+    if len(known) < len(lights):
         return None
     normal, position, mask = gbuffer.normal, gbuffer.position, gbuffer.mask
+    layers = gbuffer.layer_normal
     view = gbuffer.view if isinstance(gbuffer.view, Tensor) else None
     camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
     floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
@@ -351,16 +381,16 @@ def _by_kernel(
         if key not in found:
             found[key] = packed(known, position, normal)
         lamps = found[key]
-    inputs = (normal, view, position, camera, floating, lamps)
+    inputs = (normal, layers, view, position, camera, floating, lamps)
     if not kernel.takes(model, *inputs) or kernel.asks_for_gradient(model, *inputs):
         return None
     for lamp in lamps[:1]:
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
-    if trades and view is not None and normal.device.type == "cpu":
+    if trades and view is not None and layers is None and normal.device.type == "cpu":
         sphere = _sphere(model, normal, view, lights, lamps, tolerance / 2)
         if sphere is not None:
             return kernel.look_up(sphere, normal, floating)
-    return kernel.shade(model, normal, view, position, camera, floating, lamps)
+    return kernel.shade(model, normal, view, position, camera, floating, lamps, layers)
 
 
 def _sphere(

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import math
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,3 +50,28 @@ def test_a_coat_over_lamberts_base_is_mitsubas_plastic() -> None:
         l, v = (torch.tensor(x, dtype=torch.float64).view(1, 3, 1, 1) for x in (light, view))  # noqa: E741
         own = body(up, l, v).flatten().numpy()
         np.testing.assert_allclose(own, truth, rtol=5e-3)
+
+
+@pytest.mark.slow
+def test_a_coat_over_a_measured_table_is_the_slab_that_mitsuba_traces(tmp_path: Path) -> None:
+    """Rationale: paths through a real dielectric face above the measured table. Expected: equal to
+    four standard errors of the paths, which are below 4 %."""
+    pytest.importorskip("mitsuba", reason="needs the extra simulate")
+    from raden_torch.capture.photo.simulation.variants import why_no_llvm
+
+    if (reason := why_no_llvm()) is not None:
+        pytest.skip(reason)
+    script = Path(__file__).parents[3] / "benchmarks" / "coat_in_mitsuba.py"
+    size = ("--log2-paths", "18", "--pairs", "2", "--faces", "smooth")
+    done = subprocess.run(
+        [sys.executable, script, "--out", tmp_path, *size],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-2000:]
+    rows = json.loads((tmp_path / "coat_in_mitsuba.json").read_text())
+    assert len(rows) == 2
+    for row in rows:
+        paths, error, own = (np.array(row[k]) for k in ("paths", "error", "formula"))
+        assert (paths > 1e-3).all()
+        assert (error < 0.04 * paths).all()
+        assert (abs(own - paths) < 4 * error).all()

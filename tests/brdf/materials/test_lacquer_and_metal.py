@@ -12,6 +12,7 @@ import pytest
 import torch
 
 import raden_torch as rt
+from raden_torch.brdf.materials import coat
 from raden_torch.brdf.materials.coat import Coated, refracted
 from raden_torch.brdf.materials.metal import (
     Foil,
@@ -23,6 +24,7 @@ from raden_torch.brdf.materials.metal import (
 from raden_torch.brdf.materials.microfacet import albedo, fresnel, ggx
 from raden_torch.brdf.materials.surface import Surface
 from raden_torch.brdf.materials.urushi import Lambertian, black_urushi, vermilion_urushi
+from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError
 from raden_torch.geometry import dot
 
@@ -50,7 +52,14 @@ def reflected_share(f: Callable[..., Any], degrees: float, nodes: int = 80) -> t
 
 @pytest.fixture(scope="module")
 def shell() -> rt.RadenBrdf:
-    return rt.fit(rt.simulate_specimen("yakogai", step_deg=10), interpolation="trilinear").model
+    return rt.fit(rt.simulate_specimen("yakogai", step_deg=35), interpolation="trilinear").model
+
+
+@pytest.fixture
+def few_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that ask whether a table is made, not how accurate it is."""
+    layout = RuntimeLayout((12, 21, 15), (0.4, 0.4))
+    monkeypatch.setattr(coat, "layout_for", lambda roughness: layout)
 
 
 LOSSLESS = {
@@ -74,7 +83,7 @@ def formula_of(material: Any) -> Callable[..., torch.Tensor]:
     """The coat's own formula, solved once; what needs no table is its formula."""
     if isinstance(material, Coated):
         return material._parts(UP, once=True, gloss=True)
-    return material.of_unit_vectors
+    return getattr(material, "formula", material.of_unit_vectors)
 
 
 @pytest.mark.parametrize("name", LOSSLESS)
@@ -176,6 +185,7 @@ def test_layers_that_lean_under_the_coat(shell: rt.RadenBrdf) -> None:
     assert not torch.allclose(leaning, whole, rtol=0.05)
 
 
+@pytest.mark.usefixtures("few_nodes")
 def test_shade_reads_a_coat_by_the_fused_kernel(shell: rt.RadenBrdf) -> None:
     """In single precision by the kernel, in double light by light: the same image."""
     coated = Coated(shell.float(), absorption=(1, 2, 3), thickness=0.1)
@@ -191,6 +201,7 @@ def test_shade_reads_a_coat_by_the_fused_kernel(shell: rt.RadenBrdf) -> None:
     assert images[0].min() > 0
 
 
+@pytest.mark.usefixtures("few_nodes")
 def test_a_changed_base_is_baked_again_and_has_gradients(shell: rt.RadenBrdf) -> None:
     coated = Coated(shell.double())
     light, view = towards(20), towards(-15)
@@ -277,6 +288,11 @@ def test_powder_is_the_mean_by_area() -> None:
         (lambda: Coated(WHITE, base_in="water"), "base_in"),
         (lambda: Foil("brass"), "metal: expected one of gold, silver, mirror"),
         (lambda: Foil("gold", roughness=2.0), "roughness"),
+        (lambda: Foil("gold", medium=0.5), "medium: expected an index in 1…4"),
+        (lambda: Powder(Foil("gold"), WHITE, -0.1), "density: expected 0…1"),
+        (lambda: Powder(Foil("gold"), WHITE, torch.full((1, 1, 2, 2), math.nan)), "density"),
+        (lambda: Coated(WHITE, thickness=math.inf), "thickness: expected 0 mm or more"),
+        (lambda: Coated(WHITE, absorption=math.inf), "absorption"),
         (lambda: Lambertian((1.2, 0, 0)), "albedo"),
         (lambda: Powder(Foil("gold"), WHITE, 1.2), "density: expected 0…1"),
         (lambda: Powder(Foil("gold"), WHITE, torch.full((1, 1, 2, 2), 1.01)), "density"),

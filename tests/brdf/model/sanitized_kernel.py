@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.machinery
 import importlib.util
 import sys
+from dataclasses import replace
 from itertools import product
 
 import torch
@@ -72,6 +73,7 @@ def calls(model: rt.RadenBrdf, size: tuple[int, int]) -> None:
                 buffer = rt.GBuffer(normal=maps[0], view=maps[2], position=maps[3], mask=mask)
                 rt.shade(model, buffer, lights)
                 rt.shade(model, buffer, lights, tolerance=0.01)
+                rt.shade(model, replace(buffer, layer_normal=maps[1]), lights)
         leaves = [m.detach().requires_grad_() for m in maps[:3]]
         model(*leaves).sum().backward()
 

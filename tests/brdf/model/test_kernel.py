@@ -364,7 +364,7 @@ def test_the_operators_are_registered_as_torch_wants_them(model) -> None:
     lamps[..., 0] = 0
     torch.library.opcheck(
         torch.ops.raden_torch.shade.default,
-        (maps[0], maps[1], None, None, maps[2][:, :1], lamps, *arguments[3:]),
+        (maps[0], None, maps[1], None, None, maps[2][:, :1], lamps, *arguments[3:]),
         test_utils=tests,
     )
 

@@ -7,6 +7,7 @@ is loaded: `test_in_the_interpreter` runs the others in a process of their own. 
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 import subprocess
@@ -330,11 +331,18 @@ def a_mask() -> Tensor:
 
 @torch.no_grad()
 @pytest.mark.parametrize("lights", [0, 1, 5])
-@pytest.mark.parametrize("masked", [False, True])
-@pytest.mark.parametrize("camera", [False, True])
-def test_shade(as_operators, shell_on, device, lights, masked, camera) -> None:
+@pytest.mark.parametrize(
+    ("masked", "camera", "leaning"),
+    [
+        *((False, False, False), (True, False, False), (False, True, False), (True, True, False)),
+        *((False, False, True), (True, True, True)),
+    ],
+)
+def test_shade(as_operators, shell_on, device, lights, masked, camera, leaning) -> None:
     model, on_device = shell_on
     view = {"camera": (0.1, -0.2, 3.0)} if camera else {"view": (0.1, 0.1, 1.0)}
+    if leaning:
+        view["layer_normal"] = scene(device, None, view=(0, 0, 1)).normal[:1].flip(3).to(device)
     mask = a_mask() if masked else None
     lamps = lights_of(lights)
     with simd.using(simd.OFF):
@@ -379,13 +387,15 @@ def _double(gbuffer: rt.GBuffer) -> rt.GBuffer:
     return rt.GBuffer(**maps)
 
 
-@pytest.fixture
-def shell_on(device: torch.device) -> tuple[rt.RadenBrdf, rt.RadenBrdf]:
-    """The model, and another one of the same on the device."""
-    import copy
+@pytest.fixture(scope="module")
+def fitted() -> rt.RadenBrdf:
+    return rt.fit(rt.simulate_specimen("yakogai"), interpolation="trilinear").model
 
-    model = rt.fit(rt.simulate_specimen("yakogai"), interpolation="trilinear").model
-    return model, copy.deepcopy(model).to(device)
+
+@pytest.fixture
+def shell_on(fitted, device: torch.device) -> tuple[rt.RadenBrdf, rt.RadenBrdf]:
+    """The model, and another one of the same on the device."""
+    return copy.deepcopy(fitted), copy.deepcopy(fitted).to(device)
 
 
 def test_training_through_the_model(as_operators, shell_on, device) -> None:
