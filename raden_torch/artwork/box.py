@@ -17,7 +17,7 @@ TABLE, LID, FRONT, RIGHT, BACK, LEFT = 0, 1, 2, 3, 4, 5
 """Parts that a ray may meet; the last five are charts of the box."""
 NOTHING = -1
 
-_STEPS = 40
+_STEPS = 120
 _NEAR = 2e-5
 _AXES = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0))
 """Outward, of the sides from FRONT on."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -21,6 +22,8 @@ from raden_torch.scene.table import LitTable
 
 _LAMPS = 192
 """That stand for surroundings, to what is not polished."""
+_FACETS_WITHIN = 20.0
+"""Times α, as a slope: where the highlight of a lamp is computed."""
 _LEAST = 1 / 512
 """Shares of a sample below this are left out."""
 
@@ -107,11 +110,19 @@ def _lamps_in(
     face: Coated, normal: Tensor, position: Tensor, view: Tensor, lights: Sequence[Light]
 ) -> Tensor:
     """`[3, N]` the highlights of lamps in a face."""
-    n, p, v = (m[None, :, None] for m in (normal, position, view))
-    total = torch.zeros_like(n)
+    total = torch.zeros_like(normal)
+    # 1 - 1 / (1 + 20²) of a GGX lobe lies within this angle of its facets' normal
+    least = 1 / math.sqrt(1 + (_FACETS_WITHIN * face.roughness) ** 2)
+    everywhere = position[None, :, None]
     for light in lights:
-        for towards, irradiance in directions_of(light, p, n):
-            to = normalize(towards, dim=1)
-            cosine = (n * to).sum(1, keepdim=True).clamp(min=0)
-            total += face.gloss(n, to, v) * irradiance * cosine
-    return total[0, :, 0]
+        for towards, irradiance in directions_of(light, everywhere, everywhere):
+            to = normalize(towards, dim=1)[0, :, 0].expand_as(normal)
+            half = normalize(to + view, dim=0)
+            near = ((normal * half).sum(0) > least).nonzero()[:, 0]
+            if not len(near):
+                continue
+            n, l, v = (m[None, :, None, near] for m in (normal, to, view))
+            cosine = (n * l).sum(1, keepdim=True).clamp(min=0)
+            e = irradiance.expand(1, 3, 1, normal.shape[1])[..., near]
+            total[:, near] += (face.gloss(n, l, v) * e * cosine)[0, :, 0]
+    return total

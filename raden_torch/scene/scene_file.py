@@ -29,18 +29,18 @@ Roughness = Annotated[float, Meta(gt=0, le=1)]
 Seed = Annotated[int, Meta(ge=0, le=2**31)]
 
 
-class _Table(msgspec.Struct, forbid_unknown_fields=True):
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A table of the file: other keys are refused."""
 
 
-class PictureTable(_Table):
+class PictureTable(_Table, frozen=True):
     """The picture; `samples` along each side of a pixel at edges."""
 
     size: tuple[Pixels, Pixels] = (1280, 720)
     samples: Annotated[int, Meta(ge=1, le=16)] = 3
 
 
-class CameraTable(_Table):
+class CameraTable(_Table, frozen=True):
     """A pinhole camera; over the animation it turns about its target."""
 
     position: Triple
@@ -50,7 +50,7 @@ class CameraTable(_Table):
     swing_deg: Finite = 0.0
 
 
-class ObjectTable(_Table):
+class ObjectTable(_Table, frozen=True):
     """What is shown: a box, or the surface in an EXR G-buffer."""
 
     gbuffer: Text | None = None
@@ -67,7 +67,7 @@ class ObjectTable(_Table):
     table: Albedo | Literal["none"] = (0.42, 0.405, 0.385)
 
 
-class MaterialTable(_Table):
+class MaterialTable(_Table, frozen=True):
     """A material: one of model, shell, urushi, metal and albedo says what it is."""
 
     name: Text
@@ -80,7 +80,7 @@ class MaterialTable(_Table):
     roughness: Roughness | None = None
 
 
-class LayerTable(_Table):
+class LayerTable(_Table, frozen=True):
     """Where a material is: a mask, from a file; the first layer is on top."""
 
     material: Text
@@ -88,7 +88,7 @@ class LayerTable(_Table):
     normal: Text | None = None
 
 
-class EnvironmentTable(_Table):
+class EnvironmentTable(_Table, frozen=True):
     """What surrounds the scene: a file, or the built-in room."""
 
     file: Text | None = None
@@ -98,28 +98,28 @@ class EnvironmentTable(_Table):
     turn_deg: Finite = 0.0
 
 
-class DirectionalTable(_Table):
+class DirectionalTable(_Table, frozen=True):
     """A lamp at infinity."""
 
     direction: Triple
     irradiance: Colour = (3.14159, 3.14159, 3.14159)
 
 
-class OrbitTable(_Table):
+class OrbitTable(_Table, frozen=True):
     """A circle about the vertical through a centre, `turns` times over the animation."""
 
     centre: Triple = (0.0, 0.0, 0.0)
     turns: Finite = 1.0
 
 
-class KeyframeTable(_Table):
+class KeyframeTable(_Table, frozen=True):
     """Where a lamp is in a frame; straight between two."""
 
     frame: Frame
     position: Triple
 
 
-class PointTable(_Table):
+class PointTable(_Table, frozen=True):
     """A small lamp, which may move."""
 
     position: Triple = (0.0, 3.0, 0.0)
@@ -128,7 +128,7 @@ class PointTable(_Table):
     keyframes: list[KeyframeTable] = []
 
 
-class RectangleTable(_Table):
+class RectangleTable(_Table, frozen=True):
     """A lamp with an area; it shines to the side that across × up points to."""
 
     position: Triple
@@ -137,7 +137,7 @@ class RectangleTable(_Table):
     radiance: Colour = (1.0, 1.0, 1.0)
 
 
-class LightsTable(_Table):
+class LightsTable(_Table, frozen=True):
     """All that shines."""
 
     environment: EnvironmentTable | None = None
@@ -146,7 +146,7 @@ class LightsTable(_Table):
     rectangle: list[RectangleTable] = []
 
 
-class DisplayTable(_Table):
+class DisplayTable(_Table, frozen=True):
     """How light becomes a picture: the fields of `Display`."""
 
     exposure: Finite | Literal["auto", "key"] = "auto"
@@ -155,14 +155,14 @@ class DisplayTable(_Table):
     colour_space: Literal["srgb", "display-p3", "acescg"] = "srgb"
 
 
-class AnimationTable(_Table):
+class AnimationTable(_Table, frozen=True):
     """How many frames there are, and how many a second."""
 
     frames: Frame = 48
     fps: Annotated[float, Meta(gt=0, le=240)] = 24.0
 
 
-class SceneTable(_Table):
+class SceneTable(_Table, frozen=True):
     """A scene file."""
 
     camera: CameraTable | None = None
