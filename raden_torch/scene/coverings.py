@@ -26,7 +26,7 @@ POLISH = 0.012
 """GGX α of mirror-polished urushi (*roiro*): an assumption."""
 _POWDER, _POWDER_COAT = 0.3, 0.2
 _TABLETS = {
-    "yakogai": (0.95, 1.05), "mexican": (0.92, 1.12), "awabi": (0.95, 1.08), "akoya": (1.0,),
+    "yakogai": (0.95, 1.05), "mexican": (0.92, 1.12), "awabi": (1.0,), "akoya": (1.0,),
     "abalone": (1.0,),
 }  # fmt: skip
 """Over a shell's own: what its pieces are blended of."""

@@ -121,8 +121,8 @@ def _lamps_in(
             near = ((normal * half).sum(0) > least).nonzero()[:, 0]
             if not len(near):
                 continue
-            n, l, v = (m[None, :, None, near] for m in (normal, to, view))
-            cosine = (n * l).sum(1, keepdim=True).clamp(min=0)
+            n, towards_lamp, v = (m[None, :, None, near] for m in (normal, to, view))
+            cosine = (n * towards_lamp).sum(1, keepdim=True).clamp(min=0)
             e = irradiance.expand(1, 3, 1, normal.shape[1])[..., near]
-            total[:, near] += (face.gloss(n, l, v) * e * cosine)[0, :, 0]
+            total[:, near] += (face.gloss(n, towards_lamp, v) * e * cosine)[0, :, 0]
     return total

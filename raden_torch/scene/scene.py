@@ -87,6 +87,15 @@ class Scene:
             raise InputError(f"samples: expected 1…16, got {picture.samples}")
         return cls(table, Path(path).parent, str(path))
 
+    def resized(self, size: tuple[int, int], samples: int | None = None) -> Scene:
+        """The same in another size, width and height, with the maps that this one has made."""
+        samples = self.table.picture.samples if samples is None else samples
+        picture = msgspec.structs.replace(self.table.picture, size=size, samples=samples)
+        table = msgspec.structs.replace(self.table, picture=picture)
+        other = Scene(table, self.folder, self.name)
+        other.__dict__["_dressing"] = self._dressing
+        return other
+
     @property
     def display(self) -> Display:
         shown = self.table.display
