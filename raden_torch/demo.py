@@ -134,7 +134,7 @@ def _scene(out: Path, size: int) -> list[Figure]:
     small = scene.resized((5 * size // 8, 5 * size // 8 * 9 // 16))
     frames = range(1, _TURNING_FRAMES + 1)
     render_frames(small, frames, out / "box_turning.webp", scene.display)
-    text = "Black urushi, gold powder and raden of four simulated shells, in a room with a paper window"
+    text = "Black urushi, gold powder and raden of four simulated shells by a paper window"
     return [
         Figure("box.png", "A maki-e box", f"{text}: raden render scene.toml, docs/scenes.md."),
         Figure("box_turning.webp", "The same, turning", "Colours travel over the pieces."),
