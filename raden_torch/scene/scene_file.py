@@ -61,7 +61,6 @@ class ObjectTable(_Table, frozen=True):
     artwork: Literal["makie", "none"] | None = None
     seed: Seed = 7
     ground: Text = "black"
-    normal: Text | None = None
     turn_deg: Finite = 0.0
     swing_deg: Finite = 0.0
     table: Albedo | Literal["none"] = (0.42, 0.405, 0.385)
@@ -191,7 +190,6 @@ def files_of(scene: SceneTable, folder: Path) -> list[Path]:
     around = scene.lights.environment
     named = [
         scene.object.gbuffer,
-        scene.object.normal,
         around.file if around else None,
         *(m.model for m in scene.materials),
         *(text for layer in scene.layers for text in (layer.mask, layer.normal)),
