@@ -12,12 +12,18 @@ from torch.nn.functional import normalize
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.brdf.shading.area_lights import RectangleLight
 from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light, directions_of
 from raden_torch.brdf.shading.shade import shade
 from raden_torch.scene.dressing import Dressed, Dressing
-from raden_torch.scene.polish import MirroredSurroundings, mirrored, reflected_share
+from raden_torch.scene.polish import (
+    MirroredSurroundings,
+    mirrored,
+    mirrored_rectangle,
+    reflected_share,
+)
 from raden_torch.scene.table import LitTable
 
 _LAMPS = 192
@@ -93,15 +99,19 @@ def _add_polish(
     view = normalize(torch.tensor(camera)[:, None] - position, dim=0)
     mirror, cosine = mirrored(normal, view)
     seen = torch.zeros_like(normal)
+    small = []
     for light in lights:
         if isinstance(light, EnvironmentLight):
             seen += MirroredSurroundings(light, dressing.polish.roughness).at(mirror)
+        elif isinstance(light, RectangleLight):
+            seen += mirrored_rectangle(light, position, mirror)
+        else:
+            small.append(light)
     if table is not None:
         down = (mirror[1] < -1e-3).nonzero()[:, 0]
         at = position[:, down] - mirror[:, down] * (position[1, down] / mirror[1, down])
         seen[:, down] = table.mirrored(at)
     light_of = seen * reflected_share(dressing.polish, cosine)
-    small = [light for light in lights if not isinstance(light, EnvironmentLight)]
     light_of += _lamps_in(dressing.polish, normal, position, view, small)
     image[:, here] += light_of * share[here]
 

@@ -16,9 +16,10 @@ from torch.nn.functional import grid_sample
 
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.microfacet import albedo
+from raden_torch.brdf.shading.area_lights import RectangleLight
 from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.brdf.shading.latlong import SphereBlur, about_y, octahedral
-from raden_torch.brdf.shading.triples import checked
+from raden_torch.brdf.shading.triples import as_map, checked
 
 _WIDTH = 1.35
 """Standard deviation of the Gaussian about R over α."""
@@ -41,6 +42,26 @@ class MirroredSurroundings:
             at = torch.stack([u, v], -1)[None, None]
             found.append(grid_sample(self._map[None], at, align_corners=True)[0, :, 0])
         return torch.cat(found, 1) * self._factor.view(-1, 1)
+
+
+def mirrored_rectangle(light: RectangleLight, position: Tensor, mirror: Tensor) -> Tensor:
+    """`[3, N]` radiance of a lamp where mirror directions from places `[3, N]` meet it.
+
+    Its edges are sharp: a polish of small α blurs them by less than they are wide.
+    """
+    middle, across, up, radiance = (
+        as_map(x, position[None, :, None])[0, :, 0]
+        for x in (light.position, light.across, light.up, light.radiance)
+    )
+    normal = torch.linalg.cross(across, up, dim=0)
+    facing = (normal * mirror).sum(0)
+    reach = (normal * (middle - position)).sum(0) / torch.where(facing < 0, facing, -1.0)
+    offset = position + reach * mirror - middle
+    # places in units of the sides, which need not be at right angles
+    sides = torch.cat([across, up], 1)
+    along = torch.linalg.lstsq(sides, offset).solution
+    inside = (along.abs() < 0.5).all(0) & (facing < 0) & (reach > 0)
+    return radiance * inside
 
 
 def reflected_share(face: Coated, cosine: Tensor) -> Tensor:

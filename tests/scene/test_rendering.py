@@ -17,6 +17,7 @@ from raden_torch.artwork.box_decoration import decorated
 from raden_torch.artwork.room import SHOJI, room, solid_angle_of
 from raden_torch.brdf.materials.simulated_shell import SimulatedShell
 from raden_torch.brdf.materials.urushi import black_urushi
+from raden_torch.brdf.shading.area_lights import RectangleLight
 from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.brdf.shading.latlong import solid_angles
 from raden_torch.colorimetry import XYZ_TO_SRGB
@@ -25,7 +26,12 @@ from raden_torch.geometry import vectors_from_angles
 from raden_torch.images.exr import write_channels
 from raden_torch.images.pixels import write_pixels
 from raden_torch.scene.camera import Camera
-from raden_torch.scene.polish import MirroredSurroundings, mirrored, reflected_share
+from raden_torch.scene.polish import (
+    MirroredSurroundings,
+    mirrored,
+    mirrored_rectangle,
+    reflected_share,
+)
 from raden_torch.scene.samples import sampled
 from raden_torch.scene.scene import Scene
 
@@ -205,3 +211,16 @@ def test_a_gbuffer_is_lit_as_a_scene(scene_file: Writer, tmp_path: Path) -> None
     image = Scene.read(path).frame()
     assert image.shape == (1, 3, 10, 12)
     torch.testing.assert_close(image, torch.ones_like(image), atol=2e-3, rtol=0)
+
+
+def test_a_rectangle_s_mirror_image() -> None:
+    """A mirror sees a lamp where the mirrored ray meets it, from its bright side alone."""
+    lamp = RectangleLight((0.0, 2.0, 0.0), (2.0, 0.0, 0.0), (0.0, 0.0, 1.0), (3.0, 2.0, 1.0))
+    x = torch.tensor([0.0, 0.9, 1.1, 0.0, 0.0])
+    z = torch.tensor([0.0, 0.4, 0.0, 0.6, 0.0])
+    position = torch.stack([x, torch.tensor([0.0, 0.0, 0.0, 0.0, 4.0]), z])
+    up = torch.tensor([0.0, 1.0, 0.0])[:, None] * torch.tensor([1.0, 1.0, 1.0, 1.0, -1.0])
+    seen = mirrored_rectangle(lamp, position, up)
+    assert seen[0].tolist() == [3.0, 3.0, 0.0, 0.0, 0.0]
+    turned = RectangleLight((0.0, 2.0, 0.0), (0.0, 0.0, 1.0), (2.0, 0.0, 0.0), 1.0)
+    assert mirrored_rectangle(turned, position, up)[0].tolist() == [0.0, 0.0, 0.0, 0.0, 1.0]
