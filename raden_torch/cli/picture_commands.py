@@ -89,12 +89,7 @@ def render(
 ) -> None:
     if model.suffix.lower() == ".toml":
         own = (light, around, gbuffer, exr, shape.shape, shape.camera)
-        if own != ((), EnvironmentOptions(), None, GBufferOptions(), "sphere", None):
-            raise InputError(
-                f"{model}: a scene has its own lights, camera and surfaces; beside it come "
-                "`output`, `size`, `samples`, `frames`, `resume` and the options of the picture"
-            )
-        _render_scene(model, output, display, shape, scene)
+        _render_scene(model, output, display, shape, scene, is_plain=own == _NO_SCENE_OF_ITS_OWN)
         return
     if scene != SceneOptions():
         raise InputError(f"{model}: `frames` and `resume` go with a scene file (.toml)")
@@ -131,9 +126,24 @@ def render(
     print(f"wrote {output} (exposure {used:+.2f} stops)")
 
 
+_NO_SCENE_OF_ITS_OWN = ((), EnvironmentOptions(), None, GBufferOptions(), "sphere", None)
+"""`render`'s options that a scene file says itself, as they are where none is given."""
+
+
 def _render_scene(
-    path: Path, output: Path, display: DisplayOptions, shape: ShapeOptions, asked: SceneOptions
+    path: Path,
+    output: Path,
+    display: DisplayOptions,
+    shape: ShapeOptions,
+    asked: SceneOptions,
+    *,
+    is_plain: bool,
 ) -> None:
+    if not is_plain:
+        raise InputError(
+            f"{path}: a scene has its own lights, camera and surfaces; beside it come "
+            "`output`, `size`, `samples`, `frames`, `resume` and the options of the picture"
+        )
     from raden_torch.scene.animation import render_frames
     from raden_torch.scene.scene import Scene
 
