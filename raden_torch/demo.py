@@ -32,6 +32,18 @@ from raden_torch.measurement import BrdfMeasurement
 from raden_torch.optics import simulate_specimen
 from raden_torch.pictures import relight_files, render_shape, save_picture
 from raden_torch.plots import draw, save_plot
+from raden_torch.scene.animation import render_frames
+from raden_torch.scene.scene import Scene
+from raden_torch.scene.scene_file import (
+    AnimationTable,
+    CameraTable,
+    DisplayTable,
+    EnvironmentTable,
+    LightsTable,
+    ObjectTable,
+    PictureTable,
+    SceneTable,
+)
 
 Result = TypeVar("Result")
 
@@ -39,6 +51,7 @@ SPECIMEN = "yakogai"
 _KEY_LIGHT = DirectionalLight((-1.0, 1.2, 2.0))
 _STRIP_DEG = (-60, -36, -12, 12, 36, 60)
 _OFF_GRID_READINGS = 2000
+_TURNING_FRAMES = 16
 
 
 @dataclass(frozen=True)
@@ -73,6 +86,7 @@ def run_demo(out: Path, *, size: int = 512) -> Path:
         save_model(result.model, out / "shell.safetensors")
         off_grid = step("scoring it off the grid", lambda: _score_off_grid(result))
         figures = [
+            *step("rendering a scene", lambda: _scene(out, size)),
             step("lighting the sphere", lambda: _sphere(result, out, size)),
             step("moving the lamp", lambda: _lamp_strip(result, out, size // 2)),
             step("setting the shell in lacquer", lambda: _plate(result, out, size)),
@@ -103,6 +117,28 @@ def _score_off_grid(result: FitResult) -> str:
     u = torch.rand(_OFF_GRID_READINGS, 3, generator=generator, dtype=torch.float64).numpy()
     geometries = u * [70.0, 140.0, 140.0] - [0.0, 70.0, 70.0]
     return str(score(result.model, simulate_specimen(SPECIMEN, geometries_deg=geometries)))
+
+
+def _scene(out: Path, size: int) -> list[Figure]:
+    """A box in a room, still and turning."""
+    table = SceneTable(
+        picture=PictureTable(size=(15 * size // 8, 15 * size // 8 * 9 // 16)),
+        camera=CameraTable(position=(1.5, 3.7, 5.6), target=(0.05, 0.33, 0.0), fov_deg=34.0),
+        object=ObjectTable(artwork="makie", swing_deg=22.0),
+        lights=LightsTable(environment=EnvironmentTable(builtin="room")),
+        display=DisplayTable(exposure=0.2),
+        animation=AnimationTable(frames=_TURNING_FRAMES, fps=12.0),
+    )
+    scene = Scene(table, out)
+    scene.display.write(scene.frame(), out / "box.png", scene.caption)
+    small = scene.resized((5 * size // 8, 5 * size // 8 * 9 // 16))
+    frames = range(1, _TURNING_FRAMES + 1)
+    render_frames(small, frames, out / "box_turning.webp", scene.display)
+    text = "Black urushi, gold powder and raden of four simulated shells by a paper window"
+    return [
+        Figure("box.png", "A maki-e box", f"{text}: raden render scene.toml, docs/scenes.md."),
+        Figure("box_turning.webp", "The same, turning", "Colours travel over the pieces."),
+    ]
 
 
 def _sphere(result: FitResult, out: Path, size: int) -> Figure:

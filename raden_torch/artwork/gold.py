@@ -128,3 +128,15 @@ def _draws(i: Tensor, j: Tensor, salt: int) -> list[Tensor]:
     for _ in range(2):
         n = ((n ^ (n >> 31)) * 0x3F58476D1CE4E5B9) ^ (n << 7)
     return [((n >> shift) & 0xFFFF).to(i) / 2**16 for shift in (0, 16, 32, 47)]
+
+
+def flake_slopes(x: Tensor, y: Tensor, pixel: float, *, flake: float, seed: int) -> Tensor:
+    """`[2, H, W]` slopes of variance 1 that are one flake's each; their mean where samples are
+    larger than a flake.
+
+    Flakes lie otherwise each, so that powder glitters.
+    """
+    draws = _draws(torch.floor(x / flake), torch.floor(y / flake), seed)
+    # the sum of two even draws, with mean 0 and variance 1
+    slopes = [(draws[k] + draws[k + 2] - 1) * math.sqrt(6) for k in (0, 1)]
+    return torch.stack(slopes) * min(1.0, flake / pixel)

@@ -122,7 +122,7 @@ _COMMANDS = (
     ),
     (
         "picture_commands:render",
-        "Light a shape, or an EXR G-buffer, with a model.",
+        "Light a shape, or an EXR G-buffer, with a model; render a scene file, also its frames.",
         "raden render shell.safetensors --light 1,1,2 -o sphere.png",
     ),
     (

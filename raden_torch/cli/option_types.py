@@ -141,6 +141,17 @@ def _limits(text: str) -> tuple[float, float]:
     return number(low), number(high)
 
 
+def _frames(text: str) -> range:
+    first, dash, last = text.partition("-")
+    try:
+        numbers = range(int(first), int(last if dash else first) + 1)
+    except ValueError:
+        raise ValueError(f"expected a frame or a range, as 1-48, got {text}") from None
+    if not numbers or numbers[0] < 1 or len(numbers) > 100_000:
+        raise ValueError(f"expected frames from 1, the last not before the first, got {text}")
+    return numbers
+
+
 def _squares(text: str) -> tuple[int, int]:
     try:
         columns, rows = (int(part) for part in text.lower().split("x"))
@@ -214,6 +225,7 @@ Exposed = Annotated[
 ]
 Bytes = Annotated[int, _read(_bytes, "SIZE", show_default=lambda size: f"{size >> 30}G")]
 Limits = Annotated[tuple[float, float], _read(_limits, "FIRST:LAST")]
+Frames = Annotated[range | None, _read(_frames, "FIRST-LAST", show_default=False)]
 Squares = Annotated[tuple[int, int], _read(_squares, "COLUMNSxROWS")]
 CornersPx = Annotated[Points, _read(_corners_px, "POINTS")]
 Region = Annotated[Points, _read(_region, "POINTS")]
@@ -225,5 +237,6 @@ Pairs = Annotated[tuple[tuple[str, str], ...], _read_all(_pair, "NAME=VALUE")]
 
 ModelFile = Annotated[Path, argument("a model that `raden fit` wrote")]
 RenderedModel = Annotated[
-    Path, argument("a model that `raden fit` wrote; or pearl, a simulated one")
+    Path,
+    argument("a model that `raden fit` wrote; a scene (.toml); or pearl, a simulated one"),
 ]

@@ -25,6 +25,7 @@ from raden_torch.cli.picture_options import (
     ExrOptions,
     GBufferOptions,
     RelitDisplayOptions,
+    SceneOptions,
 )
 from raden_torch.cli.status import progress, without_other_inputs, working
 from raden_torch.errors import InputError
@@ -48,17 +49,22 @@ class ShapeOptions:
     material of a palette)"""
     camera: Triple | None = None
     """the camera's position x,y,z; y is up"""
-    size: int = 512
-    """width and height in pixels"""
-    samples: int = 2
-    """rays per pixel along each side"""
+    size: int | None = None
+    """width and height in pixels, 512 unless stated; of a scene its width"""
+    samples: int | None = None
+    """rays per pixel along each side, 2 unless stated; of a scene those at edges"""
 
     def image(self, model: Reflection, lights: Sequence[Light]) -> Tensor:
         """`[1, 3, size, size]` scene-linear RGB."""
         from raden_torch.pictures import render_shape
 
         return render_shape(
-            model, self.shape, lights, camera=self.camera, size=self.size, samples=self.samples
+            model,
+            self.shape,
+            lights,
+            camera=self.camera,
+            size=512 if self.size is None else self.size,
+            samples=2 if self.samples is None else self.samples,
         )
 
 
@@ -80,7 +86,14 @@ def render(
         Path | None, Parameter(help="an EXR with normals or depth to light, instead of a shape")
     ] = None,
     exr: GBufferOptions = GBufferOptions(),
+    scene: SceneOptions = SceneOptions(),
 ) -> None:
+    if model.suffix.lower() == ".toml":
+        own = (light, around, gbuffer, exr, shape.shape, shape.camera)
+        _render_scene(model, output, display, shape, scene, is_plain=own == _NO_SCENE_OF_ITS_OWN)
+        return
+    if scene != SceneOptions():
+        raise InputError(f"{model}: `frames` and `resume` go with a scene file (.toml)")
     from raden_torch.pictures import (
         load_material,
         render_gbuffer,
@@ -118,6 +131,45 @@ def render(
                 )
             used = save_picture(image, output, loaded, display=shown_by)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
+
+
+_NO_SCENE_OF_ITS_OWN = ((), EnvironmentOptions(), None, GBufferOptions(), "sphere", None)
+"""`render`'s options that a scene file says itself, as they are where none is given."""
+
+
+def _render_scene(
+    path: Path,
+    output: Path,
+    display: DisplayOptions,
+    shape: ShapeOptions,
+    asked: SceneOptions,
+    *,
+    is_plain: bool,
+) -> None:
+    if not is_plain:
+        raise InputError(
+            f"{path}: a scene has its own lights, camera and surfaces; beside it come "
+            "`output`, `size`, `samples`, `frames`, `resume` and the options of the picture"
+        )
+    from raden_torch.scene.animation import render_frames
+    from raden_torch.scene.scene import Scene
+
+    scene = Scene.read(path, width=shape.size, samples=shape.samples)
+    shown_by = display.over(scene.display)
+    if asked.frames is not None:
+        with progress("rendering") as shown:
+            count = render_frames(
+                scene, asked.frames, output, shown_by, resume=asked.resume, shown=shown
+            )
+        print(f"wrote {output} ({count} of {len(asked.frames)} frames rendered)")
+        return
+    if asked.resume:
+        raise InputError("`resume` goes with `frames`")
+    shown_by.check_path(output)
+    check_output(output, inputs=(path, *scene.files))
+    with working("rendering"):
+        stops = shown_by.write(scene.frame(), output, scene.caption)
+    print(f"wrote {output} (exposure {stops:+.2f} stops)")
 
 
 def _lights(lamps: Sequence[LampOption]) -> list[Light]:

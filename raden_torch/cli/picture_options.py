@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from raden_torch.cli.option_types import Bytes, Exposed, Pairs
+from raden_torch.cli.option_types import Bytes, Exposed, Frames, Pairs
 from raden_torch.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _PICTURE = Group("The picture", sort_key=2)
 _EXR_FILES = Group("EXR files", sort_key=3)
+_SCENES = Group("Scenes", sort_key=4)
 
 
 @Parameter(name="*", group=_PICTURE)
@@ -40,6 +41,12 @@ class DisplayOptions:
         from raden_torch.brdf.files.display import Display
 
         return Display(self.exposure, self.tone, self.gamut, self.colour_space)
+
+    def over(self, display: Display) -> Display:
+        """A scene's own, but for what is asked for here."""
+        usual = DisplayOptions()
+        asked = {k: v for k, v in vars(self).items() if v != getattr(usual, k)}
+        return replace(display, **asked)
 
 
 @Parameter(name="*", group=_PICTURE)
@@ -101,6 +108,17 @@ class GBufferOptions(ExrOptions):
     def _fields(self) -> dict[str, Any]:
         channels = dict(self.channels)
         return {**super()._fields, "channels": channels, "smooth_px": self.smooth_px}
+
+
+@Parameter(name="*", group=_SCENES)
+@dataclass(frozen=True)
+class SceneOptions:
+    """For a scene file alone."""
+
+    frames: Frames = None
+    """frames to render, as 1-48: into a folder of PNGs, or an .mp4, .webm or .webp"""
+    resume: bool = False
+    """keep the frames that are in the folder, and render the rest"""
 
 
 @Parameter(name="*")

@@ -225,9 +225,11 @@ def draw_caption(pixels: NDArray[Any], caption: str, alpha: NDArray[Any] | None 
     font, scale = cv2.FONT_HERSHEY_SIMPLEX, 0.4
     (text_width, _), _ = cv2.getTextSize(caption, font, scale, 1)
     scale *= min(1.0, max(width - 8, 1) / max(text_width, 1))
-    for grey, thickness in ((0.0, 3), (190 / 255, 1)):
-        stroke = np.zeros((height, width), np.uint8)
-        cv2.putText(stroke, caption, (4, height - 6), font, scale, 255, thickness, cv2.LINE_AA)
+    thin = np.zeros((height, width), np.uint8)
+    cv2.putText(thin, caption, (4, height - 6), font, scale, 255, 1, cv2.LINE_AA)
+    # dilated, since a thicker stroke's letters may be wider, too (OpenCV 5)
+    halo = cv2.dilate(thin, np.ones((3, 3), np.uint8))
+    for grey, stroke in ((0.0, halo), (190 / 255, thin)):
         touched = stroke > 0
         cover = stroke[touched].astype(np.float64)[:, None] / 255
         mixed = (1 - cover) * pixels[touched] + cover * grey * top

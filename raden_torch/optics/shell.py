@@ -64,7 +64,7 @@ def brdf_per_sr(shell: Specimen, light: Floats, view: Floats) -> Floats:
     light, view = lacquered.refracted(light, n), lacquered.refracted(view, n)
     passed = lacquered.coat_transmittance(cos_light, light[..., 2], n)
     passed = passed * lacquered.coat_transmittance(cos_view, view[..., 2], n)
-    brdf = _films(shell, light, view) + _body(shell, cos_light, cos_view)
+    brdf = _films(shell, light, view) + body_per_sr(shell, cos_light, cos_view)
     # radiance falls by n² on leaving the coat
     return np.asarray(brdf * (passed / n**2)[..., None])
 
@@ -74,24 +74,26 @@ def _films(shell: Specimen, light: Floats, view: Floats) -> Floats:
     density = lacquered.slope_density(shell.facets, slope_x, slope_y)
     # half the angle between L and V is the angle on the facet: sin² = (1 − L·V)/2
     q_squared = shell.coat_n**2 * (1 - np.sum(light * view, axis=-1)) / 2
-    reflectance = _reflectance(shell, q_squared, _tablet_nm(shell, slope_x**2 + slope_y**2))
+    reflectance = film_reflectance(shell, q_squared, tablet_nm_at(shell, slope_x**2 + slope_y**2))
     return lacquered.facet_brdf(density, reflectance, light, view)
 
 
-def _body(shell: Specimen, cos_light: Floats, cos_view: Floats) -> Floats:
+def body_per_sr(shell: Specimen, cos_light: Floats, cos_view: Floats) -> Floats:
+    """`[…, bands]` what the body below the films gives back, within the coat, in 1/sr."""
     flat_nm = np.full(cos_light.shape, shell.stack.tablet_nm)
     albedo = shell.body_albedo * (1 + shell.body_warmth * (BANDS_NM / 550 - 1))
-    reflected_in = _reflectance(shell, 1 - cos_light**2, flat_nm)
-    reflected_out = _reflectance(shell, 1 - cos_view**2, flat_nm)
+    reflected_in = film_reflectance(shell, 1 - cos_light**2, flat_nm)
+    reflected_out = film_reflectance(shell, 1 - cos_view**2, flat_nm)
     return lacquered.body_brdf(albedo, reflected_in, reflected_out, shell.coat_n)
 
 
-def _tablet_nm(shell: Specimen, slope_squared: Floats) -> Floats:
+def tablet_nm_at(shell: Specimen, slope_squared: Floats) -> Floats:
+    """Thickness of the tablets where the planes stand at a slope."""
     gone = slope_squared / (slope_squared + shell.half_slope**2)
     return shell.stack.tablet_nm + (shell.steep_tablet_nm - shell.stack.tablet_nm) * gone
 
 
-def _reflectance(shell: Specimen, q_squared: Floats, tablet_nm: Floats) -> Floats:
+def film_reflectance(shell: Specimen, q_squared: Floats, tablet_nm: Floats) -> Floats:
     """`[M, bands]` by linear interpolation in the table of one thickness.
 
     Films scale: s times the thickness (tablets and sheets alike) reflects what the films reflect

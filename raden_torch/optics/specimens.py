@@ -158,7 +158,7 @@ def simulate_specimen(
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InputError(f"seed: expected a whole number of at least 0, got {seed!r}")
     tablet_scale = _number(tablet_scale, "tablet_scale", *TABLET_SCALES)
-    shell = _rescaled(SPECIMENS[name], tablet_scale)
+    shell = rescaled(SPECIMENS[name], tablet_scale)
     angles = _grid(step_deg) if geometries_deg is None else _scattered(geometries_deg)
     values = reflectance_factors(shell, angles, spectral=spectral)
     std = noise * np.maximum(values, NOISE_FLOOR) if noise else None
@@ -215,7 +215,7 @@ def _band_names() -> tuple[str, ...]:
     return tuple(f"{band:g}nm" for band in BANDS_NM)
 
 
-def _rescaled(shell: Specimen, scale: float) -> Specimen:
+def rescaled(shell: Specimen, scale: float) -> Specimen:
     """The same shell where its tablets are thicker or thinner; the organic sheets stay."""
     stack = replace(shell.stack, tablet_nm=scale * shell.stack.tablet_nm)
     return replace(shell, stack=stack, steep_tablet_nm=scale * shell.steep_tablet_nm)

@@ -16,7 +16,7 @@ from raden_torch.measurement import native_csv
 from raden_torch.optics import SPECIMENS, simulate_specimen
 from raden_torch.optics.lacquered import slope_density
 from raden_torch.optics.nacre import mean_reflectance
-from raden_torch.optics.shell import BANDS_NM, _reflectance, brdf_per_sr
+from raden_torch.optics.shell import BANDS_NM, brdf_per_sr, film_reflectance
 from raden_torch.optics.specimens import directions
 
 NAMES = tuple(SPECIMENS)
@@ -106,7 +106,7 @@ def test_films_scale(tablet_nm):
     stack = replace(shell.stack, tablet_nm=tablet_nm, organic_nm=25 * scale)
     q_squared = np.array([0.0, 0.33, 0.77])
     direct = mean_reflectance(stack, BANDS_NM, q_squared, ambient_n=shell.coat_n, stacks=300)
-    scaled = _reflectance(shell, q_squared, np.full(3, tablet_nm))
+    scaled = film_reflectance(shell, q_squared, np.full(3, tablet_nm))
     assert abs(scaled - direct).max() < 0.08  # the bands of 300 random stacks still have noise
     assert np.sqrt(np.mean((scaled - direct) ** 2)) < 0.012
 

@@ -211,21 +211,24 @@ class Coated:
 
         return formula
 
-    def _baked(self, *, once: bool) -> RuntimeBrdf:
+    def _baked(self, *, once: bool, gloss: bool) -> RuntimeBrdf:
         def make() -> RuntimeBrdf:
             like = next(iter(parameters_of(self)), torch.zeros((), device="cpu"))
             like = like.detach().to(self.working_dtype(like))
-            gloss = self.roughness >= LEAST_BAKED
             formula = self._parts(like, once=once, gloss=gloss)
             return runtime_brdf(formula, like, layout_for(self.roughness))
 
-        return kept(self, "whole" if once else "beside", self.state(), make)
+        return kept(self, f"{once} {gloss}", self.state(), make)
+
+    def without_gloss(self) -> RuntimeBrdf:
+        """What comes from below the face: for who adds the face's mirror image by other means."""
+        return self._baked(once=True, gloss=False)
 
     def _whole(self) -> RuntimeBrdf:
-        return self._baked(once=True)
+        return self._baked(once=True, gloss=self.roughness >= LEAST_BAKED)
 
     def _beside(self) -> RuntimeBrdf:
-        return self._baked(once=False)
+        return self._baked(once=False, gloss=self.roughness >= LEAST_BAKED)
 
 
 def refracted(n: Tensor, w: Tensor, n_w: Tensor, index: float) -> Tensor:

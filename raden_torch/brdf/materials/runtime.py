@@ -67,6 +67,10 @@ class RuntimeBrdf(nn.Module):
         """`values`."""
         return self.values
 
+    def runtime_brdf(self) -> RuntimeBrdf:
+        """Itself: it is all that the fused kernels need."""
+        return self
+
     def upper_bound(self) -> Tensor:
         """`[3]`: what |f_r| of each channel cannot exceed in any geometry, in 1/sr."""
         return self.values.detach().abs().amax((0, 1, 2))
