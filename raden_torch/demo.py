@@ -40,6 +40,7 @@ from raden_torch.scene.scene_file import (
     DisplayTable,
     EnvironmentTable,
     LightsTable,
+    MaterialTable,
     ObjectTable,
     PictureTable,
     SceneTable,
@@ -51,7 +52,7 @@ SPECIMEN = "yakogai"
 _KEY_LIGHT = DirectionalLight((-1.0, 1.2, 2.0))
 _STRIP_DEG = (-60, -36, -12, 12, 36, 60)
 _OFF_GRID_READINGS = 2000
-_TURNING_FRAMES = 16
+_TURNING_FRAMES = 12
 
 
 @dataclass(frozen=True)
@@ -122,16 +123,20 @@ def _score_off_grid(result: FitResult) -> str:
 def _scene(out: Path, size: int) -> list[Figure]:
     """A box in a room, still and turning."""
     table = SceneTable(
-        picture=PictureTable(size=(15 * size // 8, 15 * size // 8 * 9 // 16)),
+        picture=PictureTable(size=(5 * size // 4, 5 * size // 4 * 9 // 16)),
         camera=CameraTable(position=(1.5, 3.7, 5.6), target=(0.05, 0.33, 0.0), fov_deg=34.0),
         object=ObjectTable(artwork="makie", swing_deg=22.0),
+        # one thickness each: to bake a shell takes seconds
+        materials=[
+            MaterialTable(name=name, shell=name, tablets=[1.0]) for name in ("yakogai", "mexican")
+        ],
         lights=LightsTable(environment=EnvironmentTable(builtin="room")),
         display=DisplayTable(exposure=0.2),
-        animation=AnimationTable(frames=_TURNING_FRAMES, fps=12.0),
+        animation=AnimationTable(frames=_TURNING_FRAMES, fps=9.0),
     )
     scene = Scene(table, out)
     scene.display.write(scene.frame(), out / "box.png", scene.caption)
-    small = scene.resized((5 * size // 8, 5 * size // 8 * 9 // 16))
+    small = scene.resized((size // 2, size // 2 * 9 // 16))
     frames = range(1, _TURNING_FRAMES + 1)
     render_frames(small, frames, out / "box_turning.webp", scene.display)
     text = "Black urushi, gold powder and raden of four simulated shells by a paper window"
