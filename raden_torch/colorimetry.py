@@ -21,6 +21,8 @@ XYZ_TO_SRGB = np.array(
     [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
 )
 """Linear; rounded as IEC 61966-2-1 has it."""
+SRGB_LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Y of linear sRGB's red, green and blue (IEC 61966-2-1)."""
 WHITES_2_DEG = {
     "A": (0.44758, 0.40745),
     "C": (0.31006, 0.31616),

@@ -14,7 +14,7 @@ from torch import Tensor
 from raden_torch.brdf.files.exr_tensors import write_image
 from raden_torch.brdf.files.gamut import GAMUTS, Gamut, into_gamut
 from raden_torch.brdf.files.tone import TONES, Tone, toned
-from raden_torch.colorimetry import ACESCG, DISPLAY_P3, SRGB, between
+from raden_torch.colorimetry import ACESCG, DISPLAY_P3, SRGB, SRGB_LUMINANCE, between
 from raden_torch.errors import InputError
 from raden_torch.files import check_writable
 from raden_torch.images.pixels import draw_caption, write_pixels
@@ -43,7 +43,6 @@ _STRAIGHT_TO = 0.0031308
 _KEY = 0.18
 _DARKEST = 1e-6
 """Of the brightest luminance: pixels below are background, not part of the key."""
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 @dataclass(frozen=True)
@@ -214,7 +213,7 @@ def key_exposure_ev(image: Tensor, key: float = _KEY) -> float:
     Source: Reinhard et al., "Photographic Tone Reproduction for Digital Images" (2002), eq. (1);
     lit is what has a millionth of the brightest luminance, so a black background does not count.
     """
-    weights = torch.tensor(_LUMINANCE, device=image.device)
+    weights = torch.tensor(SRGB_LUMINANCE, device=image.device)
     luminance = torch.einsum("c,...chw->...hw", weights, image.detach().float()).flatten()
     brightest = float(luminance.max()) if luminance.numel() else 0.0
     if not brightest > 0:

@@ -27,6 +27,7 @@ from raden_torch.brdf.model.runtime_table import (
     read,
     read_at,
 )
+from raden_torch.colorimetry import SRGB_LUMINANCE
 from raden_torch.errors import InputError
 
 _PARTS = ("base", "ground", "flakes")
@@ -184,7 +185,6 @@ def runtime_brdf(formula: Formula, like: Tensor, layout: RuntimeLayout) -> Runti
 _KNOTS_DEG = (0.0, 4.0, 8.0, 15.0, 30.0, 45.0, 60.0, 70.0, 75.0, 80.0, 83.0, 86.0, 88.0, 89.0, 90.0)
 _SEEN_FROM_DEG = ((0.0, 0.5, 1.0, 2.0), *((x,) for x in _KNOTS_DEG[1:-1]), (89.0,))
 """Incidences at which the albedo is taken, for each knot."""
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 _RADII, _TURNS = 96, 48
 
 
@@ -234,4 +234,4 @@ def _luminous_albedo(made: RuntimeBrdf, incidence_deg: float) -> float:
     n = like.new_tensor([0, 0, 1]).view(1, 3, 1, 1)
     f = read(like, made.layout.warp, n.expand_as(v), l.expand_as(v), v)
     of_rgb = (f * v[:, 2:].clamp(min=0) * share).sum((0, 2, 3)) * (2 * math.pi / _TURNS)
-    return float(of_rgb @ like.new_tensor(_LUMINANCE))
+    return float(of_rgb @ like.new_tensor(SRGB_LUMINANCE))

@@ -15,11 +15,11 @@ from torch.utils.weak import WeakTensorKeyDictionary
 
 from raden_torch.brdf.shading import latlong
 from raden_torch.brdf.shading.triples import Colour, checked
+from raden_torch.colorimetry import SRGB_LUMINANCE
 from raden_torch.errors import InputError, check_type
 
 LARGEST = 2**27
 """Texels of a map: 16384 x 8192."""
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 _USUAL_LAMPS = 512
 """Where nothing faster serves, and no number is asked for."""
 _found_good: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
@@ -126,7 +126,7 @@ class EnvironmentLight:
         if count == "all" or count >= height * width:
             kept = weighted.flatten(1).T
             return DistantLamps(towards.flatten(1).T.to(kept), kept)
-        energy = torch.einsum("c,chw->hw", weighted.new_tensor(_LUMINANCE), weighted.detach())
+        energy = torch.einsum("c,chw->hw", weighted.new_tensor(SRGB_LUMINANCE), weighted.detach())
         parts = _median_cut(energy.cpu().numpy(), count)
         label = torch.from_numpy(_labels(parts, (height, width))).flatten().to(weighted.device)
         irradiance = weighted.new_zeros(len(parts), 3).index_add(0, label, weighted.flatten(1).T)

@@ -13,10 +13,10 @@ from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.gbuffer import GBuffer, coverage
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, directions_of
 from raden_torch.brdf.shading.shade import shade, warn_if_black
+from raden_torch.colorimetry import SRGB_LUMINANCE
 from raden_torch.errors import InputError
 
 Gain = float | Tensor | Callable[[Tensor, Tensor], float]
-_LUMINANCE = (0.2126, 0.7152, 0.0722)
 _DARK = 0.1
 """Of the brightest shading: below it a photograph knows little of the texture."""
 
@@ -118,7 +118,7 @@ def texture_of(photo: Tensor, normal: Tensor, mask: Tensor, lights: Sequence[Lig
         cosine = geometry.dot(normals, geometry.normalised(direction)).clamp(min=0)
         shading = shading + cosine * irradiance
     shading = shading * mask / shading.mul(mask).amax().clamp(min=1e-12)
-    weights = photo.new_tensor(_LUMINANCE).view(3, 1, 1)
+    weights = photo.new_tensor(SRGB_LUMINANCE).view(3, 1, 1)
     area = (mask.expand(len(photo), -1, -1, -1) * shading**2).sum(dim=(2, 3), keepdim=True)
     mean = (mask * photo * shading).sum(dim=(2, 3), keepdim=True) / area.clamp(min=1e-12)
     texture = (photo * shading + _DARK**2 * mean) / (shading**2 + _DARK**2)
@@ -132,7 +132,7 @@ def matching_gain(photo: Tensor, shaded: Tensor, mask: Tensor) -> Tensor:
     So the new light is exposed as the old one was, and the rest of the photograph fits to it.
     1 where either of them is black.
     """
-    weights = photo.new_tensor(_LUMINANCE).view(3, 1, 1)
+    weights = photo.new_tensor(SRGB_LUMINANCE).view(3, 1, 1)
 
     def light(image: Tensor) -> Tensor:
         return (image * weights * mask).sum(dim=(1, 2, 3), keepdim=True)
