@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,6 +69,36 @@ def verify_shader(path: str | os.PathLike[str], *, node_modules: Path) -> Shader
     path = Path(path)
     about, table = _described(path)
     form = _form(path, about, table)
+    with _browser(path, node_modules) as worker:
+        return _compared(path, form, worker)
+
+
+def draw_shader(
+    path: str | os.PathLike[str],
+    normal: Tensor,
+    light: Tensor,
+    view: Tensor,
+    *,
+    node_modules: Path,
+) -> Tensor:
+    """What an exported text gives in headless Chromium, for pictures.
+
+    Args:
+        normal, light, view: `[B, 3, H, W]` unit vectors, or zero.
+
+    Returns:
+        `[B, 3, H, W]` f_r in 1/sr.
+
+    Raises:
+        InputError: as for `verify_shader`.
+    """
+    with _browser(Path(path), node_modules) as worker:
+        return _drawn(worker, *torch.broadcast_tensors(normal, light, view))
+
+
+@contextmanager
+def _browser(path: Path, node_modules: Path) -> Iterator[Worker]:
+    about, table = _described(path)
     files = {
         "shader.txt": path.read_bytes(),
         "table.bin": table,
@@ -74,14 +106,12 @@ def verify_shader(path: str | os.PathLike[str], *, node_modules: Path) -> Shader
     }
     try:
         worker = Worker(_command(path.suffix, node_modules), files)
+        try:
+            yield worker
+        finally:
+            worker.close()
     except WorkerError as error:
         raise InputError(f"{path}: the browser cannot run it: {error}") from None
-    try:
-        return _compared(path, form, worker)
-    except WorkerError as error:
-        raise InputError(f"{path}: the browser cannot run it: {error}") from None
-    finally:
-        worker.close()
 
 
 def _compared(path: Path, form: RuntimeForm, worker: Worker) -> ShaderCheck:
