@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -24,6 +24,11 @@ _USUAL_LAMPS = 512
 """Where nothing faster serves, and no number is asked for."""
 _found_good: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
 """Maps that were checked, and which version of them: a light is made anew by every `replace`."""
+_MOST_KEPT = 4096
+"""Lamps of one map that are kept from frame to frame."""
+_MOST_SETS = 8
+_kept_lamps: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
+"""For each map its version and, by number and intensity, its lamps before they are turned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +140,25 @@ class EnvironmentLight:
         middle = (towards.to(mass) * mass).flatten(1).T
         direction = irradiance.new_zeros(len(parts), 3).index_add(0, label, middle)
         return DistantLamps(torch.nn.functional.normalize(direction, dim=1, eps=1e-300), irradiance)
+
+    @torch.no_grad()
+    def kept_lamps(self, count: int | Literal["all"] | None = None) -> DistantLamps:
+        """`lamps` without gradient, kept for as long as the map is, unchanged."""
+        count = count or (self.samples or _USUAL_LAMPS)
+        version = version_of(self.radiance)
+        if count == "all" or count > _MOST_KEPT or version is None:
+            return self.lamps(count)
+        found = _kept_lamps.get(self.radiance)
+        if found is None or found[0] != version or len(found[1]) > _MOST_SETS:
+            found = _kept_lamps[self.radiance] = (version, {})
+        # the cut is by luminance, so a coloured intensity changes it
+        factor = checked("intensity", self.intensity, may_be_one=True).flatten().tolist()
+        key = (count, *factor)
+        if key not in found[1]:
+            found[1][key] = replace(self, rotation_deg=0.0).lamps(count)
+        lamps = found[1][key]
+        turn = latlong.about_y(self.rotation_deg).to(lamps.directions)
+        return DistantLamps(lamps.directions @ turn.T, lamps.irradiance)
 
 
 def version_of(tensor: Tensor) -> int | None:

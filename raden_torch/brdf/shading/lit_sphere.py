@@ -78,6 +78,12 @@ def lit_sphere(
     return None
 
 
+def sphere_of_side(light_normals: Callable[[Tensor], Tensor], view: Tensor, side: int) -> LitSphere:
+    """A sphere of `side` x `side` nodes, whose error is not known (NaN)."""
+    frame = _frame(view).to(torch.float32)
+    return LitSphere(_rows(light_normals(_normals(side, frame))), frame, float("nan"))
+
+
 def _frame(view: Tensor) -> Tensor:
     z = torch.nn.functional.normalize(view.to(torch.float64), dim=0)
     least = torch.nn.functional.one_hot(z.abs().argmin(), 3).to(z)

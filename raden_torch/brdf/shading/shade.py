@@ -21,6 +21,7 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.parts import parts_of
 from raden_torch.brdf.shading.by_material import shade_palette
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
+from raden_torch.brdf.shading.from_afar import lamps_from_afar, surroundings_from_afar
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import (
     DirectionalLight,
@@ -29,7 +30,6 @@ from raden_torch.brdf.shading.lights import (
     directions_of,
     packed,
 )
-from raden_torch.brdf.shading.lit_sphere import LitSphere, lit_sphere
 from raden_torch.brdf.shading.surroundings import shade_surroundings
 from raden_torch.brdf.shading.triples import Triple, as_map
 from raden_torch.errors import InputError, check_type
@@ -218,9 +218,20 @@ def _under_surroundings(
     model: Reflection, gbuffer: GBuffer, lights: list[EnvironmentLight]
 ) -> Tensor:
     """The image under environments, prefiltered."""
+    view, mask = gbuffer.view, _floating(gbuffer.mask)
+    if isinstance(view, Tensor) and type(model) is RadenBrdf:
+        found = surroundings_from_afar(model, gbuffer.normal, mask, view, lights)
+        if found is not None:
+            return found
     surface = _surface(gbuffer, model.working_dtype(*_maps(gbuffer)))
-    image = sum(shade_surroundings(model, surface.normal, surface.view, x) for x in lights)
-    return _masked(cast(Tensor, image).to(surface.normal.dtype), gbuffer.mask)
+    image = cast(
+        Tensor, sum(shade_surroundings(model, surface.normal, surface.view, x) for x in lights)
+    )
+    return _masked(image.to(surface.normal.dtype), gbuffer.mask)
+
+
+def _floating(mask: Tensor | None) -> Tensor | None:
+    return mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
 
 
 def checked_visibility(light: Light, gbuffer: GBuffer) -> Tensor:
@@ -362,7 +373,7 @@ def _by_kernel(
     )
     if wants_gradient:
         return None
-    lights = [x.lamps() if isinstance(x, EnvironmentLight) else x for x in lights]
+    lights = [x.kept_lamps() if isinstance(x, EnvironmentLight) else x for x in lights]
     known = [light for light in lights if isinstance(light, KernelLight)]
     if len(known) < len(lights):
         return None
@@ -370,7 +381,7 @@ def _by_kernel(
     layers = gbuffer.layer_normal
     view = gbuffer.view if isinstance(gbuffer.view, Tensor) else None
     camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
-    floating = mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
+    floating = _floating(mask)
     # one half for the lights that are left out, one for the lit sphere
     trades = tolerance > 0 and normal.device.type in ("cpu", "cuda")
     may_be_lost = tolerance / 2 / model.upper_bound() if trades else 0.0
@@ -387,29 +398,7 @@ def _by_kernel(
     for lamp in lamps[:1]:
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
     if trades and view is not None and layers is None and normal.device.type == "cpu":
-        sphere = _sphere(model, normal, view, lights, lamps, tolerance / 2)
+        sphere = lamps_from_afar(model, normal, view, lights, lamps, tolerance / 2)
         if sphere is not None:
             return kernel.look_up(sphere, normal, floating)
     return kernel.shade(model, normal, view, position, camera, floating, lamps, layers)
-
-
-def _sphere(
-    model: RadenBrdf,
-    normal: Tensor,
-    view: Tensor,
-    lights: list[Light],
-    lamps: Tensor,
-    tolerance: float,
-) -> LitSphere | None:
-    """The lit sphere of this frame, where N is all that differs and it pays."""
-    distant = all(isinstance(light, DirectionalLight) for light in lights)
-    if not (distant and lights and view.numel() == 3 and lamps.shape[1] == 1):
-        return None
-    if not bool(torch.isfinite(view).all() and (view != 0).any()):
-        return None
-
-    def light_normals(n: Tensor) -> Tensor:
-        return kernel.shade(model, n, view, None, None, None, lamps)
-
-    pixels = normal.numel() // 3
-    return lit_sphere(light_normals, view.flatten(), len(lights), pixels, tolerance)

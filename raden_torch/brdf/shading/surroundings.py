@@ -41,9 +41,9 @@ _SIDES = (97, 145, 217, 325, 487)
 _VIEW_STEP = math.radians(8.0)
 _RIM = 0.25
 """N·V below which a pixel is near the silhouette."""
-_SURE = 0.99
+SURE = 0.99
 """The share of pixels that has to be within the tolerance."""
-_PROBES = 1500
+PROBES = 1500
 """Pixels that are computed by themselves, to know the error."""
 _CHUNK = 1 << 11
 _BLOCK = 1 << 16
@@ -269,7 +269,7 @@ def _radiance_under(material: Reflection, light: EnvironmentLight) -> Radiance:
     """
     if type(material) is not RadenBrdf:
         return Surroundings.of(light, ring_weights(material)).radiance
-    lamps = packed([replace(light, intensity=1.0).lamps(_LAMPS)], None, torch.zeros(1, 3, 1, 1))
+    lamps = lamps_of(light)
 
     def radiance(normal: Tensor, view: Tensor) -> Tensor:
         n, v = (x.T.reshape(1, 3, 1, -1) for x in (normal, view))
@@ -278,17 +278,23 @@ def _radiance_under(material: Reflection, light: EnvironmentLight) -> Radiance:
     return radiance
 
 
+def lamps_of(light: EnvironmentLight) -> Tensor:
+    """Those that stand for it to a measured model, of intensity 1, `packed`."""
+    lamps = replace(light, intensity=1.0).kept_lamps(_LAMPS)
+    return packed([lamps], None, torch.zeros(1, 3, 1, 1))
+
+
 def _fitting_table(
     radiance: Radiance, normal: Tensor, view: Tensor, tolerance: float
 ) -> MirrorTable | None:
     """A table within the tolerance, or None where pixels by themselves are done sooner."""
     pixels = len(normal)
-    if pixels < 4 * _PROBES:
+    if pixels < 4 * PROBES:
         return None
     grid = ViewGrid.over(view)
     if grid is None:
         return None
-    probes = torch.linspace(0, pixels - 1, _PROBES).long()
+    probes = torch.linspace(0, pixels - 1, PROBES).long()
     n, v = normal[probes], view.expand(pixels, 3)[probes]
     truth = radiance(n, v)
     allowed = tolerance * float(truth.abs().max())
@@ -298,7 +304,7 @@ def _fitting_table(
             return None
         table = _table(radiance, grid, used, side)
         error = (table.read_pixels(n, v) - truth).abs().amax(1)
-        if float(error.quantile(_SURE)) <= allowed:
+        if float(error.quantile(SURE)) <= allowed:
             return table
     return None
 
