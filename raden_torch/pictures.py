@@ -35,7 +35,7 @@ from raden_torch.brdf.files.image_file import (
 from raden_torch.brdf.files.material_map import read_material
 from raden_torch.brdf.files.model_file import load_model
 from raden_torch.brdf.files.normal_axes import Green
-from raden_torch.brdf.files.shade_file import shade_file
+from raden_torch.brdf.files.shade_file import Shadowed, shade_file
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.pearl import is_pearl, pearl
 from raden_torch.brdf.materials.runtime import models_of
@@ -131,10 +131,17 @@ def render_gbuffer(
     reading: GBufferReading = USUAL,
     *,
     tolerance: float = 0.0,
+    shadowed: Shadowed | None = None,
 ) -> Tensor:
-    """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `read_gbuffer` and `shade`."""
+    """`[1, 3, H, W]` scene-linear RGB of an EXR G-buffer; see `read_gbuffer` and `shade`.
+
+    Args:
+        shadowed: gives the lights their shadows, as `with_screen_shadows`.
+    """
     gbuffer = read_gbuffer(path, palette=_palette(model), **vars(reading))
     lights = lights or SHAPES["sphere"].lights
+    if shadowed is not None:
+        lights = shadowed(gbuffer, lights)
     with torch.no_grad():
         image = shade(model, gbuffer, lights, tolerance=tolerance)
     warn_if_black(image, lights)
@@ -155,6 +162,7 @@ def render_gbuffer_file(
     display: Display = AS_IT_IS,
     tolerance: float = 0.0,
     memory: int | None = None,
+    shadowed: Shadowed | None = None,
     shown: Callable[[float], object] = lambda share: None,
 ) -> float:
     """Light an EXR G-buffer of any size into a scene-linear EXR; see `brdf.files.shade_file`.
@@ -162,6 +170,7 @@ def render_gbuffer_file(
     Args:
         tolerance: as for `shade`.
         memory: bytes to use beside what the program takes; None reads the image at once.
+        shadowed: gives the lights their shadows; only for an image that is read at once.
         shown: called with the share of the image that is done.
 
     Returns:
@@ -169,7 +178,9 @@ def render_gbuffer_file(
     """
     scene = GBufferFile(path, reading, memory=memory, palette=_palette(model))
     lamps = lights or SHAPES["sphere"].lights
-    shaded = shade_file(model, scene, lamps, output, display=display, tolerance=tolerance)
+    shaded = shade_file(
+        model, scene, lamps, output, display=display, tolerance=tolerance, shadowed=shadowed
+    )
     with closing(shaded) as bands:
         for rows in bands:
             shown(rows / scene.size[0])

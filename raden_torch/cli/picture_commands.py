@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -48,7 +48,7 @@ class ShapeOptions:
     """what to show: sphere; plate (black urushi with a motif); board (the motif, once for each
     material of a palette)"""
     camera: Triple | None = None
-    """the camera's position x,y,z; y is up"""
+    """the camera's position x,y,z; y is up. Of a --gbuffer with positions, in their frame"""
     size: int | None = None
     """width and height in pixels, 512 unless stated; of a scene its width"""
     samples: int | None = None
@@ -106,6 +106,9 @@ def render(
     check_output(output, inputs=(model, gbuffer, around.environment, exr.material))
     if exr.material is not None and gbuffer is None:
         raise InputError("--material: expected with --gbuffer, whose pixels it describes")
+    if exr.shadows and gbuffer is None:
+        raise InputError("--shadows: expected with --gbuffer, whose surfaces cast them")
+    reading = exr.reading if shape.camera is None else replace(exr.reading, camera=shape.camera)
     lights = [*_lights(light), *around.lights()]
     if gbuffer is not None and output.suffix.lower() == ".exr":
         with progress("rendering") as shown:
@@ -114,10 +117,11 @@ def render(
                 gbuffer,
                 output,
                 lights,
-                exr.reading,
+                reading,
                 display=shown_by,
                 tolerance=exr.tolerance,
                 memory=exr.memory,
+                shadowed=exr.shadowed,
                 shown=shown,
             )
     else:
@@ -127,7 +131,12 @@ def render(
                 image = shape.image(loaded, lights)
             else:
                 image = render_gbuffer(
-                    loaded, gbuffer, lights, exr.reading, tolerance=exr.tolerance
+                    loaded,
+                    gbuffer,
+                    lights,
+                    reading,
+                    tolerance=exr.tolerance,
+                    shadowed=exr.shadowed,
                 )
             used = save_picture(image, output, loaded, display=shown_by)
     print(f"wrote {output} (exposure {used:+.2f} stops)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,6 +15,7 @@ from raden_torch.errors import InputError
 if TYPE_CHECKING:
     from raden_torch.brdf.files.display import Display
     from raden_torch.brdf.files.gbuffer_reading import GBufferReading
+    from raden_torch.brdf.files.shade_file import Shadowed
     from raden_torch.brdf.shading.lights import Light
 
 _PICTURE = Group("The picture", sort_key=2)
@@ -103,6 +105,25 @@ class GBufferOptions(ExrOptions):
     """for an EXR: the largest error of a pixel's radiance that is accepted to save time"""
     memory: Bytes = 4 * 1024**3
     """for an EXR lit into an .exr: shade it in bands within this much memory"""
+    shadows: bool = False
+    """what the EXR shows casts shadows of the lamps; needs positions and their --camera, or depth
+    and --fov"""
+    thickness: float | None = None
+    """for --shadows: how deep a visible surface is, in the unit of the positions; a tenth of the
+    median distance unless stated"""
+
+    def __post_init__(self) -> None:
+        if self.thickness is not None and not self.shadows:
+            raise InputError("--thickness: expected with --shadows, whose occluders it describes")
+
+    @property
+    def shadowed(self) -> Shadowed | None:
+        """What gives lights their shadows, where they are asked for."""
+        if not self.shadows:
+            return None
+        from raden_torch.brdf.shading.screen_shadows import with_screen_shadows
+
+        return partial(with_screen_shadows, thickness=self.thickness)
 
     @property
     def _fields(self) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 
 import torch
 
@@ -11,9 +11,14 @@ from raden_torch.brdf.files.display import AS_IT_IS, Display
 from raden_torch.brdf.files.exr_tensors import in_halves
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, has_pixels
 from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.brdf.shading.shade import shade, warn_if_black
+from raden_torch.errors import InputError
 from raden_torch.images.exr import rows_written
+
+Shadowed = Callable[[GBuffer, Sequence[Light]], Sequence[Light]]
+"""Lights with the shadows that a G-buffer casts, as `with_screen_shadows` makes them."""
 
 
 def shade_file(
@@ -24,6 +29,7 @@ def shade_file(
     *,
     display: Display = AS_IT_IS,
     tolerance: float = 0.0,
+    shadowed: Shadowed | None = None,
 ) -> Generator[int, None, None]:
     """Shade a file's bands one after the other; the image is the one that `shade` makes at once.
 
@@ -32,6 +38,7 @@ def shade_file(
         scene: the G-buffer; its `bands` decide how much memory is taken.
         output: the scene-linear EXR to write, in half floats.
         display: whose stops and colour space the EXR has.
+        shadowed: gives the lights their shadows, which need the file in one band.
 
     Yields:
         The rows that are done. `output` appears after the last of them; where the loop is left
@@ -40,19 +47,25 @@ def shade_file(
     Raises:
         InputError: as for `read_gbuffer` and `shade`.
     """
+    if shadowed is not None and len(scene.bands) > 1:
+        raise InputError(
+            f"{scene.path}: shadows: expected an image that is read at once, got "
+            f"{len(scene.bands)} bands, which do not see what is beside them; allow more memory"
+        )
+    lights = [lights] if isinstance(lights, Light) else list(lights)
     some = lit = False
     with rows_written(output, scene.size, display.chromaticities) as write:
         for top, bottom in scene.bands:
             gbuffer = scene.rows(top, bottom)
             some = some or has_pixels(gbuffer)
             with torch.no_grad():
-                image = shade(model, gbuffer, lights, tolerance=tolerance)
+                here = lights if shadowed is None else shadowed(gbuffer, lights)
+                image = shade(model, gbuffer, here, tolerance=tolerance)
             lit = lit or bool((image != 0).any())
             write(in_halves(display.linear(image)))
-            del gbuffer, image  # before the next band is read
+            del gbuffer, image, here  # before the next band is read
             yield bottom
         if not some:
             raise scene.is_empty()
     if not lit:
-        lamps = [lights] if isinstance(lights, Light) else lights
-        warn_if_black(torch.zeros(1), lamps)
+        warn_if_black(torch.zeros(1), lights)

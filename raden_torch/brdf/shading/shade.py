@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from numbers import Real
 from typing import cast, get_args
@@ -15,11 +15,14 @@ from torch import Tensor
 from raden_torch import geometry
 from raden_torch.brdf.materials.metal import Powder
 from raden_torch.brdf.materials.palette import Palette
-from raden_torch.brdf.materials.surface import Reflection, Surface, SurfaceReflection, reflected
+from raden_torch.brdf.materials.surface import Reflection, SurfaceReflection
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.parts import parts_of
+from raden_torch.brdf.shading import latlong
+from raden_torch.brdf.shading.area_lights import AreaLight
 from raden_torch.brdf.shading.by_material import shade_palette
+from raden_torch.brdf.shading.eager import maps_of, masked, shade_eagerly, surface_of
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.from_afar import lamps_from_afar, surroundings_from_afar
 from raden_torch.brdf.shading.gbuffer import GBuffer
@@ -27,7 +30,6 @@ from raden_torch.brdf.shading.lights import (
     DirectionalLight,
     KernelLight,
     Light,
-    directions_of,
     packed,
 )
 from raden_torch.brdf.shading.surroundings import shade_surroundings
@@ -54,9 +56,10 @@ def shade(
         lights: directional, point and spot lights, and environments, which are prefiltered where
             that serves (`EnvironmentLight.samples`). No light gives a black image.
         tolerance: the error of a pixel's radiance, in the image's unit, that may be traded for
-            time. Above 0, the fused kernels leave out lights that are certainly too far or too weak
-            for a few neighbouring pixels to matter, and the CPU's reads large frames under distant
-            lamps from a `LitSphere`. The eager form computes everything.
+            time. Above 0, lights, and samples of lamps with a shape, are left out where all that is
+            left out at a pixel certainly adds less; and the CPU's kernel reads large frames under
+            distant lamps from a `LitSphere`. A material without an `upper_bound`, and gradients,
+            leave nothing out in the eager form.
 
     Returns:
         `[B, 3, H, W]` scene-linear RGB with sRGB primaries, unclipped, multiplied by the mask.
@@ -91,6 +94,8 @@ def shade(
     for place, light in enumerate(lights):
         check_type(f"lights[{place}]", light, _LIGHTS)
     open_lights = [light for light in lights if light.visibility is None]
+    # what has a visibility map is shaded by itself, and may lose its share
+    tolerance /= max(1, len(lights) - len(open_lights) + bool(open_lights))
     image = None
     if open_lights or len(open_lights) == len(lights):
         image = _lit(model, gbuffer, open_lights, tolerance)
@@ -125,22 +130,28 @@ def _lit(
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
     around: list[EnvironmentLight] = []
+    shaped: list[Light] = []
     lamps: list[Light] = []
     for light in lights:
         if isinstance(light, EnvironmentLight) and _is_prefiltered(model, gbuffer, light):
             around.append(light)
         else:
-            lamps.append(light)
+            (shaped if isinstance(light, AreaLight) else lamps).append(light)
+    # each way of shading may lose its share
+    share = tolerance / max(1, sum(map(bool, (around, shaped, lamps))))
     image = None
-    if lamps or not around:
+    if lamps or not (around or shaped):
         one_table = _in_one_table(model, gbuffer)
         if one_table is not None:
             own = None if kept is None else (kept, tuple(id(light) for light in lamps))
-            image = _by_kernel(one_table, gbuffer, lamps, tolerance, own)
+            image = _by_kernel(one_table, gbuffer, lamps, share, own)
         if image is None:
-            image = _eagerly(model, gbuffer, lamps)
+            image = shade_eagerly(model, gbuffer, lamps, share)
+    if shaped:
+        found = shade_eagerly(model, gbuffer, shaped, share)
+        image = found if image is None else image + found
     if around:
-        found = _under_surroundings(model, gbuffer, around)
+        found = _under_surroundings(model, gbuffer, around, share)
         image = found if image is None else image + found
     return cast(Tensor, image)
 
@@ -208,30 +219,55 @@ def _is_prefiltered(model: Reflection, gbuffer: GBuffer, light: EnvironmentLight
     tensors = [t for t in inputs if isinstance(t, Tensor)]
     if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
         return False
-    if type(model) is RadenBrdf and not kernel.takes(model, *_maps(gbuffer)):
+    if type(model) is RadenBrdf and not kernel.takes(model, *maps_of(gbuffer)):
         return False
     return gbuffer.normal.device.type == "cpu" and not torch.compiler.is_compiling()
 
 
 @torch.no_grad()
 def _under_surroundings(
-    model: Reflection, gbuffer: GBuffer, lights: list[EnvironmentLight]
+    model: Reflection, gbuffer: GBuffer, lights: list[EnvironmentLight], tolerance: float
 ) -> Tensor:
-    """The image under environments, prefiltered."""
+    """The image under environments, prefiltered, but for those that may be left out."""
+    if tolerance > 0 and hasattr(model, "upper_bound"):
+        lights = _that_matter(lights, model.upper_bound(), tolerance)
     view, mask = gbuffer.view, _floating(gbuffer.mask)
     if isinstance(view, Tensor) and type(model) is RadenBrdf:
         found = surroundings_from_afar(model, gbuffer.normal, mask, view, lights)
         if found is not None:
             return found
-    surface = _surface(gbuffer, model.working_dtype(*_maps(gbuffer)))
-    image = cast(
-        Tensor, sum(shade_surroundings(model, surface.normal, surface.view, x) for x in lights)
-    )
-    return _masked(image.to(surface.normal.dtype), gbuffer.mask)
+    surface = surface_of(gbuffer, model.working_dtype(*maps_of(gbuffer)))
+    shape = torch.broadcast_shapes(surface.normal.shape, surface.view.shape)
+    image = surface.normal.new_zeros(shape)
+    for light in lights:
+        image = image + shade_surroundings(model, surface.normal, surface.view, light)
+    return masked(image.to(surface.normal.dtype), gbuffer.mask)
 
 
 def _floating(mask: Tensor | None) -> Tensor | None:
     return mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
+
+
+def _that_matter(
+    lights: list[EnvironmentLight], bound: Tensor, tolerance: float
+) -> list[EnvironmentLight]:
+    """Those whose radiance at a pixel is not certain to fit into the tolerance, all together.
+
+    The irradiance of a plane is at most that of all texels facing it, and π times the largest
+    radiance.
+    """
+    kept = []
+    for light in lights:
+        radiance = light.scaled().double()
+        _, height, width = radiance.shape
+        whole = (radiance * latlong.solid_angles(height, width)).sum((1, 2))
+        most = torch.minimum(whole, torch.pi * radiance.amax((1, 2)))
+        lost = float((most * bound.to(most)).max())
+        if lost <= tolerance:
+            tolerance -= lost
+        else:
+            kept.append(light)
+    return kept
 
 
 def checked_visibility(light: Light, gbuffer: GBuffer) -> Tensor:
@@ -260,64 +296,6 @@ def _in_one_table(model: Reflection, gbuffer: GBuffer) -> RadenBrdf | None:
         return None  # what has layers and a surface of its own
     baked = getattr(model, "runtime_brdf", None)
     return None if baked is None else cast(RadenBrdf | None, baked())
-
-
-@dataclass(frozen=True)
-class _Baked:
-    """A model with its runtime table."""
-
-    model: RadenBrdf
-    table: Tensor
-
-    def working_dtype(self, *maps: Tensor) -> torch.dtype:
-        return self.model.working_dtype(*maps)
-
-    def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
-        return self.model.of_unit_vectors(n, l, v, self.table)
-
-
-def _eagerly(model: Reflection, gbuffer: GBuffer, lights: Sequence[Light]) -> Tensor:
-    """The image in torch, light by light."""
-    dtype = model.working_dtype(*_maps(gbuffer))
-    surface = _surface(gbuffer, dtype)
-    normal, view = surface.normal, surface.view
-    position = None if gbuffer.position is None else gbuffer.position.to(dtype)
-    image = torch.zeros((), dtype=dtype, device=normal.device)
-    # with gradients a table is baked in every call: once is enough for all lights
-    material = _Baked(model, model.runtime_table()) if type(model) is RadenBrdf else model
-    lamps = (lamp for light in lights for lamp in directions_of(light, position, normal))
-    for to_light, irradiance in lamps:
-        geometry.check_vector_maps(normal=normal, light=to_light, view=view)
-        direction = geometry.normalised(to_light)
-        cosine = geometry.dot(normal, direction).clamp(min=0)
-        f = reflected(material, surface, direction)
-        image = image + f * (irradiance * cosine)
-    image = image.expand(torch.broadcast_shapes(image.shape, normal.shape, view.shape))
-    return _masked(image, gbuffer.mask)
-
-
-def _masked(image: Tensor, mask: Tensor | None) -> Tensor:
-    image = torch.where(torch.isfinite(image), image, torch.zeros_like(image))
-    if mask is None:
-        return image
-    return image * torch.nan_to_num(mask.to(image.dtype), nan=0.0).clamp(0, 1)
-
-
-def _maps(gbuffer: GBuffer) -> list[Tensor]:
-    return [m for m in (gbuffer.normal, gbuffer.view, gbuffer.position) if isinstance(m, Tensor)]
-
-
-def _surface(gbuffer: GBuffer, dtype: torch.dtype) -> Surface:
-    normal = geometry.normalised(gbuffer.normal.to(dtype))
-    view = geometry.normalised(gbuffer.view_map(normal))
-    layers, tangent = gbuffer.layer_normal, gbuffer.tangent
-    return Surface(
-        normal,
-        view,
-        None if layers is None else geometry.normalised(layers.to(dtype)),
-        None if tangent is None else tangent.to(dtype),
-        gbuffer.material,
-    )
 
 
 def warn_if_black(image: Tensor, lights: Sequence[Light]) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from importlib import import_module
 
 import pytest
 import torch
@@ -13,9 +15,13 @@ import raden_torch as rt
 from raden_torch.brdf.model import kernel, simd
 from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
+from raden_torch.brdf.shading import eager
+from raden_torch.brdf.shading.area_lights import DiscLight, RectangleLight, SphereLight
+from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.brdf.shading.lit_sphere import lit_sphere
 from raden_torch.errors import InputError
 
+shade_module = import_module("raden_torch.brdf.shading.shade")
 needs_kernel = pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
 
 
@@ -193,3 +199,109 @@ def test_a_wrong_tolerance_is_one_line(model, tolerance) -> None:
         InputError, match=r"^tolerance: expected a radiance of 0 or more, got [^\n]*$"
     ):
         rt.shade(model, plate(4, 4), distant(1), tolerance=tolerance)
+
+
+@pytest.fixture
+def pixels(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """How many pixels the eager form computed, sample by sample, while the test ran."""
+    computed: list[int] = []
+    reflected = eager.reflected
+
+    def spy(material, surface, direction):
+        f = reflected(material, surface, direction)
+        computed.append(f.shape[-2] * f.shape[-1])
+        return f
+
+    monkeypatch.setattr(eager, "reflected", spy)
+    return computed
+
+
+WINDOWS = [
+    RectangleLight((-9.0, -9.0, 1.5), (2.0, 0.0, 0.0), (0.0, -2.0, 0.0), 3.0, tolerance=0.05),
+    DiscLight((8.0, 8.0, 2.0), (0.0, 0.0, -1.0), 0.5, (1.0, 4.0, 2.0), tolerance=0.05),
+    SphereLight((0.0, 60.0, 60.0), 1.0, tolerance=0.05),
+]
+
+
+@pytest.mark.parametrize("tolerance", [0.01, 0.1])
+@pytest.mark.parametrize("level", [simd.OFF, *simd.LEVELS[-1:]])
+@pytest.mark.parametrize("precision", [torch.float32, torch.float64])
+def test_samples_of_lamps_lose_no_more_together(model, tolerance, level, precision, pixels) -> None:
+    """Rationale: matt, a pixel is lit by all three; each sample alone would fit many times."""
+    scene = plate(40, 60)
+    gbuffer = rt.GBuffer(
+        scene.normal.to(precision), view=scene.view, position=scene.position.to(precision)
+    )
+    lights = [*WINDOWS, *distant(2), *lamps(3, rt.PointLight)]
+    with simd.using(level):
+        exact = rt.shade(model, gbuffer, lights)
+        whole = sum(pixels)
+        pixels.clear()
+        found = rt.shade(model, gbuffer, lights, tolerance=tolerance)
+    lost = exact - found
+    assert lost.abs().amax() <= tolerance
+    assert lost.amax() > 0  # and it is made use of
+    assert sum(pixels) < 0.8 * whole
+
+
+@pytest.mark.parametrize("tolerance", [0.2, 1.0])
+def test_lamps_that_stand_for_an_environment_are_left_out(model, tolerance) -> None:
+    generator = torch.Generator().manual_seed(8)
+    room = EnvironmentLight(torch.rand(3, 8, 16, generator=generator), samples=64)
+    gbuffer = plate(40, 60)
+    for level in (simd.OFF, *simd.LEVELS[-1:]):
+        with simd.using(level):
+            exact = rt.shade(model, gbuffer, [room, WINDOWS[0]])
+            found = rt.shade(model, gbuffer, [room, WINDOWS[0]], tolerance=tolerance)
+        assert 0 < (exact - found).amax() <= tolerance
+
+
+@needs_kernel
+def test_a_dim_environment_is_left_out_whole(model, monkeypatch) -> None:
+    shaded: list[EnvironmentLight] = []
+
+    def spy(model, normal, view, light):
+        shaded.append(light)
+        return torch.zeros(normal.shape)
+
+    monkeypatch.setattr(shade_module, "shade_surroundings", spy)
+    dim = EnvironmentLight(torch.full((3, 8, 16), 1e-3))
+    bright = EnvironmentLight(torch.ones(3, 8, 16))
+    most = 1e-3 * math.pi * float(model.upper_bound().max())
+    gbuffer = plate(8, 8)
+    rt.shade(model, gbuffer, [dim, bright], tolerance=1.01 * most)
+    assert shaded == [bright]
+    shaded.clear()
+    rt.shade(model, gbuffer, [dim, dim, bright], tolerance=1.5 * most)  # one fits, two do not
+    assert shaded == [dim, bright]
+    shaded.clear()
+    assert not rt.shade(model, gbuffer, [dim], tolerance=2 * most).any()
+    assert shaded == []
+    rt.shade(model, gbuffer, [dim, bright])
+    assert shaded == [dim, bright]
+
+
+def test_lights_with_visibility_share_the_tolerance(model) -> None:
+    gbuffer, everywhere = plate(40, 60), torch.ones(1, 1, 40, 60)
+    lights = [
+        rt.DirectionalLight(x.direction, 0.1 if k % 2 else 1e-3, everywhere)
+        for k, x in enumerate(distant(40))
+    ]
+    tolerance = 0.22 * float(model.upper_bound().max())
+    exact = rt.shade(model, gbuffer, lights)
+    found = rt.shade(model, gbuffer, lights, tolerance=tolerance)
+    assert 0 < (exact - found).amax() <= tolerance
+    each = sum(rt.shade(model, gbuffer, light, tolerance=tolerance) for light in lights)
+    assert (exact - each).amax() > tolerance  # what it would be if each took all of it
+
+
+def test_gradients_leave_nothing_out(model, pixels) -> None:
+    scene = plate(8, 8)
+    normal = scene.normal.clone().requires_grad_()
+    gbuffer = rt.GBuffer(normal, view=scene.view, position=scene.position)
+    exact, found = (rt.shade(model, gbuffer, WINDOWS, tolerance=t) for t in (0.0, 10.0))
+    assert torch.equal(exact, found)
+    assert set(pixels) == {64}
+    dim = replace(WINDOWS[0], radiance=torch.full((3,), 1e-6, requires_grad=True))
+    rt.shade(model, scene, dim, tolerance=10.0).sum().backward()
+    assert (dim.radiance.grad > 0).all()
