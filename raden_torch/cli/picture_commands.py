@@ -35,6 +35,7 @@ from raden_torch.packages import require
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from raden_torch.brdf.files.display import Display
     from raden_torch.brdf.materials.surface import Reflection
     from raden_torch.brdf.shading.lights import Light
 
@@ -94,6 +95,32 @@ def render(
         return
     if scene != SceneOptions():
         raise InputError(f"{model}: `frames` and `resume` go with a scene file (.toml)")
+    from raden_torch.pictures import load_material, save_picture
+
+    shown_by = display.display
+    shown_by.check_path(output)
+    check_output(output, inputs=(model, gbuffer, around.environment, exr.material))
+    lights = [*_lights(light), *around.lights()]
+    if gbuffer is None:
+        exr.check_without_gbuffer()
+        with working("rendering"):
+            loaded = load_material(model)
+            used = save_picture(shape.image(loaded, lights), output, loaded, display=shown_by)
+    else:
+        used = _render_gbuffer(model, gbuffer, output, lights, exr, shape.camera, shown_by)
+    print(f"wrote {output} (exposure {used:+.2f} stops)")
+
+
+def _render_gbuffer(
+    model: Path,
+    gbuffer: Path,
+    output: Path,
+    lights: Sequence[Light],
+    exr: GBufferOptions,
+    camera: Triple | None,
+    shown_by: Display,
+) -> float:
+    """The stops that it was exposed by."""
     from raden_torch.pictures import (
         load_material,
         render_gbuffer,
@@ -101,18 +128,10 @@ def render(
         save_picture,
     )
 
-    shown_by = display.display
-    shown_by.check_path(output)
-    check_output(output, inputs=(model, gbuffer, around.environment, exr.material))
-    if exr.material is not None and gbuffer is None:
-        raise InputError("--material: expected with --gbuffer, whose pixels it describes")
-    if exr.shadows and gbuffer is None:
-        raise InputError("--shadows: expected with --gbuffer, whose surfaces cast them")
-    reading = exr.reading if shape.camera is None else replace(exr.reading, camera=shape.camera)
-    lights = [*_lights(light), *around.lights()]
-    if gbuffer is not None and output.suffix.lower() == ".exr":
+    reading = exr.reading if camera is None else replace(exr.reading, camera=camera)
+    if output.suffix.lower() == ".exr":
         with progress("rendering") as shown:
-            used = render_gbuffer_file(
+            return render_gbuffer_file(
                 load_material(model),
                 gbuffer,
                 output,
@@ -124,22 +143,12 @@ def render(
                 shadowed=exr.shadowed,
                 shown=shown,
             )
-    else:
-        with working("rendering"):
-            loaded = load_material(model)
-            if gbuffer is None:
-                image = shape.image(loaded, lights)
-            else:
-                image = render_gbuffer(
-                    loaded,
-                    gbuffer,
-                    lights,
-                    reading,
-                    tolerance=exr.tolerance,
-                    shadowed=exr.shadowed,
-                )
-            used = save_picture(image, output, loaded, display=shown_by)
-    print(f"wrote {output} (exposure {used:+.2f} stops)")
+    with working("rendering"):
+        loaded = load_material(model)
+        image = render_gbuffer(
+            loaded, gbuffer, lights, reading, tolerance=exr.tolerance, shadowed=exr.shadowed
+        )
+        return save_picture(image, output, loaded, display=shown_by)
 
 
 _NO_SCENE_OF_ITS_OWN = ((), EnvironmentOptions(), None, GBufferOptions(), "sphere", None)

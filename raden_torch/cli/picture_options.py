@@ -116,6 +116,13 @@ class GBufferOptions(ExrOptions):
         if self.thickness is not None and not self.shadows:
             raise InputError("--thickness: expected with --shadows, whose occluders it describes")
 
+    def check_without_gbuffer(self) -> None:
+        """Refuse what describes the pixels of a G-buffer where there is none."""
+        if self.material is not None:
+            raise InputError("--material: expected with --gbuffer, whose pixels it describes")
+        if self.shadows:
+            raise InputError("--shadows: expected with --gbuffer, whose surfaces cast them")
+
     @property
     def shadowed(self) -> Shadowed | None:
         """What gives lights their shadows, where they are asked for."""

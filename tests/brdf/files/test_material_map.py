@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import raden_torch as rt
+from raden_torch.brdf.files.display import Display
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
 from raden_torch.brdf.files.gbuffer_reading import GBufferReading
 from raden_torch.brdf.files.image_file import read_photograph
@@ -186,7 +187,7 @@ def test_relighting_a_photograph_by_a_map(tmp_path: Path) -> None:
     def lit(model: str, out: str, **more: object) -> torch.Tensor:
         relight_files(
             [tmp_path / "photo.png"], tmp_path / "n.png", None, tmp_path / model, tmp_path / out,
-            [SUN], exposure_ev=0.0, **more,
+            [SUN], display=Display(0.0), **more,
         )  # fmt: skip
         return read_photograph(tmp_path / out).linear
 

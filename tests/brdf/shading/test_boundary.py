@@ -108,7 +108,10 @@ def test_a_lamp_below_the_horizon_is_said(model: rt.RadenBrdf) -> None:
         (lambda m: rt.shade(m, FLAT_SCENE, [LAMP], tolerance="x"), "tolerance: expected float"),
         (lambda m: rt.shade(m, FLAT_SCENE, [LAMP], tolerance=-1), "tolerance: expected a radiance"),
         (lambda m: rt.export_onnx("m.safetensors", "m.onnx"), "model: expected RadenBrdf, got str"),
-        (lambda m: rt.save_model(None, "m.safetensors"), "model: expected RadenBrdf or Palette, got NoneType"),
+        (
+            lambda m: rt.save_model(None, "m.safetensors"),
+            "model: expected RadenBrdf or Palette, got NoneType",
+        ),
         (
             lambda m: rt.GBuffer(FLAT, view=(0.0, 0.0, 1.0), mask=np.ones((1, 1, 4, 5))),
             r"GBuffer mask: expected Tensor, got ndarray; convert it by torch\.as_tensor",
