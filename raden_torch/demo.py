@@ -30,8 +30,9 @@ from raden_torch.export.export import export_onnx
 from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.optics import simulate_specimen
-from raden_torch.pictures import relight_files, render_shape, save_picture
+from raden_torch.pictures import render_shape, save_picture
 from raden_torch.plots import draw, save_plot
+from raden_torch.relighting import relight_files
 from raden_torch.scene.animation import render_frames
 from raden_torch.scene.scene import Scene
 from raden_torch.scene.scene_file import (

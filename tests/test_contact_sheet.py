@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from raden_torch.brdf.shading.relight import lamp_ring
-from raden_torch.pictures import _sheet
+from raden_torch.relighting import _sheet
 
 H, W = 120, 150
 MARGIN = 4  # pixels: 6 % of the object's size, and no fewer

@@ -29,7 +29,7 @@ from raden_torch.capture.spectrometer.plan_json import plan_from_json
 from raden_torch.capture.spectrometer.rig_config import load_rig
 from raden_torch.errors import InputError
 from raden_torch.info.kinds import describe_file
-from raden_torch.pictures import _original_lamp
+from raden_torch.relighting import _original_lamp
 from raden_torch.schema import Finite, Matrix, Positive, Text, Triple, checked, read_document
 
 GONE = object()

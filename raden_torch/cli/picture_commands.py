@@ -244,7 +244,7 @@ def relight(
     display: RelitDisplayOptions = RelitDisplayOptions(),
     exr: ExrOptions = ExrOptions(),
 ) -> None:
-    from raden_torch.pictures import relight_files
+    from raden_torch.relighting import relight_files
 
     surrounded = around.environment is not None or around.light_setup is not None
     if surrounded and (how.strip or how.sheet):

@@ -23,7 +23,7 @@ from torch import Tensor
 from raden_torch.brdf.files.depth_check import warn_of_other_kind
 from raden_torch.brdf.files.exr_tensors import evidence, stacked
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
-from raden_torch.brdf.files.material_map import MaterialMap
+from raden_torch.brdf.files.material_map import MaterialMap, nothing_to_choose
 from raden_torch.brdf.files.normal_check import warn_of_normals
 from raden_torch.brdf.files.normal_coding import decoded, has_negative
 from raden_torch.brdf.files.pinhole import Y_UP, pinhole_matrix, rays
@@ -160,10 +160,7 @@ class GBufferFile:
         named = (self._reading.channels or {}).get("material")
         if palette is None or (len(palette) == 1 and path is None and named is None):
             if path is not None or named is not None:
-                raise InputError(
-                    f"{path or self.path}: material: expected a palette to choose of, got the "
-                    "model of one measurement"
-                )
+                raise nothing_to_choose(path or self.path)
             return None
         if path is not None:
             return MaterialMap(path, palette, self.size, named)

@@ -113,6 +113,13 @@ class MaterialMap:
         return torch.where(good, nearest, torch.zeros_like(nearest)).to(small)
 
 
+def nothing_to_choose(path: str | os.PathLike[str]) -> InputError:
+    """What to raise where a map is given, and no palette."""
+    return InputError(
+        f"{path}: material: expected a palette to choose of, got the model of one measurement"
+    )
+
+
 def read_material(
     path: str | os.PathLike[str],
     palette: Palette,

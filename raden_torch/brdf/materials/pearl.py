@@ -38,6 +38,8 @@ from raden_torch.optics.nacre import Stack, mean_reflectance
 from raden_torch.optics.shell import BANDS_NM
 from raden_torch.optics.spectral_colour import spectrum_to_rgb
 
+PEARL = "pearl"
+"""What stands for a model's file to light a simulated pearl."""
 NACRE_INDEX = 1.66
 """Tablets of 1.683 and organic sheets of 1.50, by their share of the thickness."""
 BODY: RGB = (0.80, 0.75, 0.67)

@@ -19,7 +19,8 @@ from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.urushi import Lambertian
 from raden_torch.errors import InputError
 from raden_torch.images.exr import read_channels, write_channels
-from raden_torch.pictures import relight_files, render_gbuffer_file, render_shape
+from raden_torch.pictures import render_gbuffer_file, render_shape
+from raden_torch.relighting import relight_files
 
 H, W = 96, 40
 Y, X = np.mgrid[:H, :W].astype(np.float32)

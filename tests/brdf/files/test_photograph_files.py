@@ -30,7 +30,7 @@ from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading.relight import lamp_ring
 from raden_torch.errors import InputError
 from raden_torch.images.exr import read_channels, write_channels
-from raden_torch.pictures import relight_files
+from raden_torch.relighting import relight_files
 
 H, W = 6, 7
 
@@ -408,7 +408,7 @@ def test_a_suffix_is_refused_before_the_work(
     tmp_path: Path, scene: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     save(tmp_path / "a.png", rgba(255))
-    monkeypatch.setattr("raden_torch.pictures.relight", None)
+    monkeypatch.setattr("raden_torch.relighting.relight", None)
     with pytest.raises(InputError, match=r"expected a file name that ends in \.png.*, got \.webp"):
         relight_files([tmp_path / "a.png"], output=tmp_path / "b.webp", **scene)
 

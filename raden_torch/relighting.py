@@ -1,0 +1,244 @@
+"""Photographs, relit, as files: what `raden relight` and `raden demo` share."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal, cast
+
+import torch
+from torch import Tensor
+
+from raden_torch.brdf.files.caption import caption_of
+from raden_torch.brdf.files.display import (
+    AS_IT_IS,
+    Display,
+    auto_exposure_ev,
+    key_exposure_ev,
+)
+from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
+from raden_torch.brdf.files.image_file import (
+    Photograph,
+    check_photograph,
+    read_mask,
+    read_normal_map,
+    read_photograph,
+    write_photograph,
+)
+from raden_torch.brdf.files.material_map import nothing_to_choose, read_material
+from raden_torch.brdf.files.model_file import load_model
+from raden_torch.brdf.files.normal_axes import Green
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.brdf.shading.lights import DirectionalLight, Light
+from raden_torch.brdf.shading.relight import Gain, relight, relit_under, tiled
+from raden_torch.errors import InputError
+from raden_torch.files import check_outputs
+
+Layout = Literal["picture", "strip", "sheet"]
+"""Of what `relight_files` writes."""
+
+_MARGIN = 0.06
+"""Of the object's size, around it in a sheet."""
+_EXPOSED_FOR = 0.95
+"""The share of the relit pixels that a sheet shows without clipping: sparkles may clip."""
+
+
+def relight_files(
+    photos: Sequence[Path],
+    normals: Path,
+    mask: Path | None,
+    model: Path,
+    output: Path,
+    lights: Sequence[Light],
+    *,
+    layout: Layout = "picture",
+    green: Green = "opengl",
+    reading: GBufferReading = USUAL,
+    display: Display = AS_IT_IS,
+    original: Path | tuple[float, float, float] | None = None,
+    coded: Literal["srgb", "linear"] = "srgb",
+) -> list[Path]:
+    """Relight photographs that share a normal map and a mask; returns the files written.
+
+    Args:
+        output: the image to write, or a folder (made where missing) for several photographs.
+        lights: directional lights in the normals' frame.
+        layout: one "picture" under all lights; or each light by itself, side by side in a "strip",
+            or in rows of a "sheet", cut to the mask, each with a dial that shows its lamp, exposed
+            for the relit part where the exposure is "auto".
+        green, reading: as for `read_normal_map`.
+        display: exposure of the relit part in stops, "auto" where it keeps its mean luminance; its
+            tone curve, which the photograph has already and an EXR has not; gamut and colour space
+            of the file.
+        original: the direction to the lamp that the photographs were taken under, or the
+            normals.json of `raden capture normals`, which knows it by the photograph's name: keeps
+            the photograph's own texture.
+        coded: what whole numbers in the photographs are; the pictures are written as sRGB.
+
+    Alpha is kept where the output's format has one. In a strip every lamp has it; a contact sheet
+    is opaque.
+
+    Raises:
+        InputError: a picture would be written onto one of the files read; whatever reading raises.
+    """
+    targets = _targets(photos, output)
+    known = original if isinstance(original, Path) else None
+    check_outputs(*targets, inputs=(*photos, normals, mask, model, known, reading.material))
+    loaded = load_model(model)
+    normal = read_normal_map(normals, green, **vars(replace(reading, material=None)))
+    coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
+    material = _material(loaded, reading.material, normal, coverage)
+    for path, target in zip(photos, targets, strict=True):
+        photo = read_photograph(path, coded=coded)
+        check_photograph(photo, target, display)
+        before = None if original is None else [_original_lamp(original, path)]
+        scene = (loaded, photo.linear, normal, coverage)
+        is_linear = target.suffix.lower() == ".exr" or photo.levels is None
+        shown = replace(display, tone="srgb") if is_linear else display
+        relit = _relit(scene, material, lights, layout, shown, before)
+        alpha = _alpha_of(photo, path, layout, len(lights))
+        made = replace(photo, linear=relit, alpha=alpha)
+        write_photograph(made, target, caption_of(loaded), display=display)
+    return targets
+
+
+def _material(
+    model: Reflection, path: Path | None, normal: Tensor, coverage: Tensor
+) -> Tensor | None:
+    """What a palette's map says, where there is one."""
+    if not isinstance(model, Palette):
+        if path is not None:
+            raise nothing_to_choose(path)
+        return None
+    if path is None:
+        if len(model) == 1:
+            return None
+        raise InputError(
+            f"material: expected a map that says which of {', '.join(model.names)} each pixel "
+            "shows, got none; give `material`"
+        )
+    size = cast(tuple[int, int], tuple(normal.shape[2:]))
+    fits = coverage.shape[2:] == normal.shape[2:]  # else it is refused with the photograph's size
+    return read_material(path, model, size, coverage if fits else None)
+
+
+def _relit(
+    scene: tuple[Reflection, Tensor, Tensor, Tensor],
+    material: Tensor | None,
+    lights: Sequence[Light],
+    layout: Layout,
+    display: Display,
+    original: Sequence[Light] | None,
+) -> Tensor:
+    """`[1, 3, …]`; the scene is a model, a photograph, normals and a mask, as for `relight`."""
+    gain: Gain | None = 2.0**display.linear_stops
+    if isinstance(display.exposure, str):
+        gain = None if display.exposure == "auto" else _gain_by_key
+    with torch.no_grad():
+        if layout == "picture":
+            return relight(
+                *scene,
+                lights,
+                gain=gain,
+                original=original,
+                material=material,
+                curve=display.curved,
+            )
+        tiles = relit_under(
+            *scene, lights, gain=gain, original=original, material=material, curve=display.curved
+        )
+        if layout == "strip":
+            return tiled(tiles, len(lights))
+        # lamps of another kind were refused: they need positions
+        lamps = cast(Sequence[DirectionalLight], lights)
+        return _sheet(tiles, scene[3], lamps, exposed=display.exposure == "auto")
+
+
+def _gain_by_key(lit: Tensor, mask: Tensor) -> float:
+    return 2.0 ** key_exposure_ev(lit * mask)
+
+
+def _alpha_of(photo: Photograph, path: Path, layout: Layout, lamps: int) -> Tensor | None:
+    """The photograph's own, once a lamp in a strip; a contact sheet is opaque."""
+    if photo.alpha is None or layout == "picture":
+        return photo.alpha
+    if layout == "strip":
+        return photo.alpha.repeat(1, 1, 1, lamps)
+    if bool((photo.alpha < 1).any()):
+        warnings.warn(f"{path}: alpha is left out: a contact sheet is opaque", stacklevel=3)
+    return None
+
+
+def _sheet(
+    tiles: Tensor, mask: Tensor, lamps: Sequence[DirectionalLight], *, exposed: bool
+) -> Tensor:
+    """`[1, 3, …]`: the tiles cut to the mask, in rows, with dials, exposed together."""
+    rows, columns = (m.flatten() for m in torch.nonzero(mask[0, 0] > 0, as_tuple=True))
+    margin = max(4, int(_MARGIN * max(rows.max() - rows.min(), columns.max() - columns.min())))
+    top, bottom = int(rows.min()) - margin, int(rows.max()) + margin + 1
+    left, right = int(columns.min()) - margin, int(columns.max()) + margin + 1
+    window = (..., slice(max(top, 0), bottom), slice(max(left, 0), right))
+    cut, inside = tiles[window], (mask[window] > 0.5).to(tiles.dtype)
+    if exposed:
+        cut = cut * 2.0 ** auto_exposure_ev((cut * inside)[:, 0], share=_EXPOSED_FOR)
+    for tile, lamp in zip(cut, lamps, strict=True):
+        _draw_dial(tile[0], lamp)
+    height, width = cut.shape[-2:]
+    # as near to a 3:2 picture as whole rows allow
+    wanted = max(1, round((1.5 * len(lamps) * height / width) ** 0.5))
+    fits = [n for n in range(1, len(lamps) + 1) if len(lamps) % n == 0] or [wanted]
+    return tiled(cut, min(fits, key=lambda n: abs(n - wanted)))
+
+
+def _draw_dial(tile: Tensor, lamp: DirectionalLight) -> None:
+    """A disc in the lower right corner of `[3, H, W]`: the hemisphere, a dot where the lamp is."""
+    height, width = tile.shape[-2:]
+    r = max(5.0, 0.05 * min(height, width))
+    y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
+    x, y = x - (width - 1 - 1.6 * r), (height - 1 - 1.6 * r) - y
+    direction = torch.as_tensor(lamp.direction, dtype=torch.float64)
+    dx, dy, _ = (direction / direction.norm() * r).tolist()
+    away = torch.hypot(x.double(), y.double())
+    rim = (1 - (away - r).abs()).clamp(0, 1)
+    dot = (0.28 * r + 1 - torch.hypot(x - dx, y - dy)).clamp(0, 1)
+    for value, cover in ((0.0, (away < r).double() * 0.6), (0.35, rim), (0.9, dot)):
+        tile += cover.to(tile.dtype) * (value - tile)
+
+
+def _original_lamp(
+    original: Path | tuple[float, float, float], photograph: Path
+) -> DirectionalLight:
+    """The lamp that a photograph was taken under."""
+    if not isinstance(original, Path):
+        return DirectionalLight(original)
+    from raden_torch.capture.photo.normals_file import KIND, NormalsFile
+    from raden_torch.capture.photo.result_file import read_result
+
+    for lamp in read_result(original, KIND, NormalsFile).lamps:
+        if lamp.photograph == photograph.name:
+            try:
+                return DirectionalLight(lamp.direction_to_lamp)
+            except InputError as error:
+                raise InputError(f"{original}: {error}") from None
+    raise InputError(
+        f"{original}: expected one of its photographs, got {photograph.name}; give the lamp as "
+        "x,y,z"
+    )
+
+
+def _targets(photos: Sequence[Path], output: Path) -> list[Path]:
+    if len(photos) == 1 and not output.is_dir():
+        return [output]
+    if len({photo.name for photo in photos}) < len(photos):
+        raise InputError("photographs: expected different names, got one twice; rename them")
+    if output.suffix and not output.is_dir():
+        raise InputError(
+            f"{output}: expected a folder (no suffix) for several photographs, got a file"
+        )
+    output.mkdir(parents=True, exist_ok=True)
+    if output.resolve() in {photo.parent.resolve() for photo in photos}:
+        raise InputError(f"{output}: expected another folder than the photographs' own, got that")
+    return [output / photo.name for photo in photos]
