@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from raden_torch import geometry
-from raden_torch.brdf.materials.surface import Surface
+from raden_torch.brdf.materials.surface import Surface, reflected
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.geometry import dot
@@ -108,16 +108,11 @@ class AnisotropicBrdf(nn.Module):
         """f_r in 1/sr for unit (or zero) directions to the light, 0 below the horizon."""
         v = surface.view
         n = surface.normal if surface.layer_normal is None else surface.layer_normal
-        parts = [cast(RadenBrdf, model).of_unit_vectors(n, l, v) for model in self.models]
+        parts = [reflected(cast(RadenBrdf, model), surface, l) for model in self.models]
         if surface.tangent is None:
-            f = torch.stack(parts).mean(0)
-        else:
-            shares = self._shares(n, l, v, surface.tangent)
-            f = torch.stack([s * part for s, part in zip(shares, parts, strict=True)]).sum(0)
-        if surface.layer_normal is None:
-            return f
-        above = (dot(surface.normal, l) > 0) & (dot(surface.normal, v) > 0)
-        return torch.where(above, f, torch.zeros_like(f))
+            return torch.stack(parts).mean(0)
+        shares = self._shares(n, l, v, surface.tangent)
+        return torch.stack([s * part for s, part in zip(shares, parts, strict=True)]).sum(0)
 
     def _shares(self, n: Tensor, l: Tensor, v: Tensor, tangent: Tensor) -> list[Tensor]:  # noqa: E741
         """`[B, 1, H, W]` for each azimuth; they sum to 1, or to 0 where the tangent is invalid."""

@@ -31,10 +31,10 @@ from raden_torch.brdf.materials.runtime import (
     LEAST_BAKED,
     Formula,
     RuntimeBrdf,
+    baked,
     kept,
     layout_for,
-    parameters_of,
-    runtime_brdf,
+    like_of,
     state_of,
 )
 from raden_torch.brdf.materials.surface import (
@@ -213,10 +213,8 @@ class Coated:
 
     def _baked(self, *, once: bool, gloss: bool) -> RuntimeBrdf:
         def make() -> RuntimeBrdf:
-            like = next(iter(parameters_of(self)), torch.zeros((), device="cpu"))
-            like = like.detach().to(self.working_dtype(like))
-            formula = self._parts(like, once=once, gloss=gloss)
-            return runtime_brdf(formula, like, layout_for(self.roughness))
+            formula = self._parts(like_of(self), once=once, gloss=gloss)
+            return baked(self, formula, layout_for(self.roughness))
 
         return kept(self, f"{once} {gloss}", self.state(), make)
 

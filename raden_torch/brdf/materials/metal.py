@@ -24,11 +24,10 @@ from raden_torch.brdf.materials.microfacet import OfCosine, albedo, checked_roug
 from raden_torch.brdf.materials.runtime import (
     LEAST_BAKED,
     RuntimeBrdf,
+    baked,
     kept,
     layout_for,
     least_roughness,
-    parameters_of,
-    runtime_brdf,
     state_of,
 )
 from raden_torch.brdf.materials.surface import (
@@ -38,6 +37,7 @@ from raden_torch.brdf.materials.surface import (
     formula_of,
     reflected,
 )
+from raden_torch.brdf.model.model import version_of
 from raden_torch.colorimetry import XYZ_TO_SRGB
 from raden_torch.errors import InputError, check_type
 from raden_torch.geometry import dot
@@ -109,7 +109,8 @@ class Foil:
         """All of it in one table, which the fused kernels read; None where one cannot hold it."""
         if self.roughness < LEAST_BAKED:
             return None
-        return kept(self, "whole", self.state(), lambda: _baked(self))
+        layout = layout_for(self.roughness)
+        return kept(self, "whole", self.state(), lambda: baked(self, self.formula, layout))
 
     def formula(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
         """f_r by the formula itself: the reference, slower."""
@@ -203,7 +204,8 @@ class Powder:
         return of_parts and not self.varies and least_roughness(self) >= LEAST_BAKED
 
     def _whole(self) -> RuntimeBrdf:
-        return kept(self, "whole", self.state(), lambda: _baked(self))
+        layout = layout_for(least_roughness(self))
+        return kept(self, "whole", self.state(), lambda: baked(self, self.formula, layout))
 
     @property
     def varies(self) -> bool:
@@ -212,14 +214,8 @@ class Powder:
 
     def state(self) -> Any:
         density = self.density
-        own = (id(density), density._version) if isinstance(density, Tensor) else density
+        own = (id(density), version_of(density)) if isinstance(density, Tensor) else density
         return own, state_of(self.flakes), state_of(self.ground)
-
-
-def _baked(material: Foil | Powder) -> RuntimeBrdf:
-    like = next(iter(parameters_of(material)), torch.zeros((), device="cpu"))
-    like = like.detach().to(material.working_dtype(like))
-    return runtime_brdf(material.formula, like, layout_for(least_roughness(material)))
 
 
 def coverage(flake_area: float | Tensor) -> float | Tensor:

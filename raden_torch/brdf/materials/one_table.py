@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import torch
@@ -15,6 +14,8 @@ from raden_torch.brdf.materials.runtime import (
     Formula,
     RuntimeBrdf,
     layout_for,
+    least_roughness,
+    parts_of,
     runtime_brdf,
 )
 from raden_torch.brdf.materials.surface import Reflection
@@ -36,14 +37,12 @@ def one_table(material: Reflection, where: str = "material") -> RuntimeBrdf:
         return RuntimeBrdf(material.values.detach().float(), material.layout)
     if isinstance(material, RadenBrdf):
         return RuntimeBrdf(material.runtime_table().detach().float(), material.layout)
-    smoothest = 1.0
-    for part in _parts(material):
-        if isinstance(getattr(part, "density", None), Tensor):
-            raise InputError(
-                f"{where}: density: expected one number, got a map: it belongs to a picture; give "
-                "flakes and ground as two members, and their weights"
-            )
-        smoothest = min(smoothest, float(getattr(part, "roughness", 1.0)))
+    if _has_a_map(material):
+        raise InputError(
+            f"{where}: density: expected one number, got a map: it belongs to a picture; give "
+            "flakes and ground as two members, and their weights"
+        )
+    smoothest = least_roughness(material)
     if smoothest < LEAST_BAKED:
         raise InputError(
             f"{where}: roughness: expected at least {LEAST_BAKED:g}, whose highlight a table "
@@ -61,11 +60,7 @@ def one_table(material: Reflection, where: str = "material") -> RuntimeBrdf:
     return RuntimeBrdf(made.values.float(), made.layout)
 
 
-def _parts(material: Any) -> Iterator[Any]:
-    """The material, and what it is made of, but for models."""
-    if isinstance(material, (RadenBrdf, RuntimeBrdf)):
-        return
-    yield material
-    for name in ("base", "ground", "flakes"):
-        if hasattr(material, name):
-            yield from _parts(getattr(material, name))
+def _has_a_map(material: Any) -> bool:
+    """Whether something in it is a tensor for the pixels of one picture."""
+    own = isinstance(getattr(material, "density", None), Tensor)
+    return own or any(_has_a_map(part) for part in parts_of(material))

@@ -30,8 +30,6 @@ from raden_torch.brdf.model.runtime_table import (
 from raden_torch.colorimetry import SRGB_LUMINANCE
 from raden_torch.errors import InputError
 
-_PARTS = ("base", "ground", "flakes")
-
 LEAST_BAKED = 0.03
 """The smoothest lobe, as GGX α, that a table holds; a smoother one is computed by its formula."""
 
@@ -115,8 +113,13 @@ def parameters_of(material: Any) -> list[Tensor]:
     """The parameters of a material and of the bases below it."""
     if isinstance(material, nn.Module):
         return list(material.parameters())
-    parts = (getattr(material, name, None) for name in _PARTS)
-    return [p for part in parts if part is not None for p in parameters_of(part)]
+    return [p for part in parts_of(material) for p in parameters_of(part)]
+
+
+def parts_of(material: Any) -> list[Any]:
+    """What a material is made of, one step down: the base of a coat, flakes and ground."""
+    parts = (getattr(material, name, None) for name in ("base", "ground", "flakes"))
+    return [part for part in parts if part is not None]
 
 
 def models_of(material: Any) -> list[RadenBrdf]:
@@ -124,9 +127,8 @@ def models_of(material: Any) -> list[RadenBrdf]:
     each once."""
     if isinstance(material, RadenBrdf):
         return [material]
-    parts = [getattr(material, name, None) for name in ("base", "ground", "flakes")]
     members = list(material) if isinstance(material, Iterable) else []
-    found = [m for part in (*parts, *members) if part is not None for m in models_of(part)]
+    found = [m for part in (*parts_of(material), *members) for m in models_of(part)]
     return list({id(model): model for model in found}.values())
 
 
@@ -137,8 +139,7 @@ def _recorded(material: Any) -> bool:
 def least_roughness(material: Any) -> float:
     """The smallest GGX α in a material and its parts; 0.07 where none has one."""
     own = getattr(material, "roughness", None)
-    parts = (getattr(material, name, None) for name in _PARTS)
-    found = [least_roughness(part) for part in parts if part is not None]
+    found = [least_roughness(part) for part in parts_of(material)]
     return min([*found, float(own)] if own is not None else found or [0.07])
 
 
@@ -149,6 +150,17 @@ def layout_for(roughness: float) -> RuntimeLayout:
     """
     closer = min(1.0, max(0.3, roughness / 0.07))
     return RuntimeLayout((40, 73, 51), (0.5 * closer, 0.35 * closer))
+
+
+def like_of(material: Any) -> Tensor:
+    """A tensor of the dtype and on the device that a material's table has."""
+    like = next(iter(parameters_of(material)), torch.zeros((), device="cpu")).detach()
+    return like.to(material.working_dtype(like))
+
+
+def baked(material: Any, formula: Formula, layout: RuntimeLayout) -> RuntimeBrdf:
+    """A formula of a material, or of some of it, as a table."""
+    return runtime_brdf(formula, like_of(material), layout)
 
 
 def runtime_brdf(formula: Formula, like: Tensor, layout: RuntimeLayout) -> RuntimeBrdf:
@@ -209,7 +221,8 @@ def _bounded(made: RuntimeBrdf, angles: tuple[Tensor, ...]) -> Tensor:
     knots = torch.tensor(_KNOTS_DEG, dtype=torch.float64, device="cpu").deg2rad()
     by = torch.ones_like(incidence)
     for angle in (incidence, receiving):
-        polar = torch.acos((angle.cos() * tilt.cos()).clamp(0, 1))
+        across = torch.hypot(angle.sin() * tilt.cos(), tilt.sin())
+        polar = torch.atan2(across, (angle.cos() * tilt.cos()).clamp(min=0))
         high = torch.searchsorted(knots, polar.contiguous()).clamp(1, len(knots) - 1)
         part = (polar - knots[high - 1]) / (knots[high] - knots[high - 1])
         by = torch.maximum(by, excess[high - 1].lerp(excess[high], part))

@@ -253,12 +253,17 @@ def model_state(model: RadenBrdf) -> tuple[Any, ...]:
     return (
         model.layout,
         *(
-            (_Held(x), x.data_ptr(), -1 if x.is_inference() else x._version, x.device, x.dtype)
+            (_Held(x), x.data_ptr(), version_of(x), x.device, x.dtype)
             if isinstance(x, Tensor)
             else x
             for x in _sources(model)
         ),
     )
+
+
+def version_of(tensor: Tensor) -> int | None:
+    """A number that changes whenever the tensor's values are written; None where nobody counts."""
+    return None if tensor.is_inference() else tensor._version
 
 
 @dataclass(frozen=True, eq=False)
