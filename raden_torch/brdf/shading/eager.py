@@ -33,7 +33,7 @@ def shade_eagerly(
     image = torch.zeros((), dtype=dtype, device=normal.device)
     # with gradients a table is baked in every call: once is enough for all lights
     material = _Baked(model, model.runtime_table()) if type(model) is RadenBrdf else model
-    recorded = torch.is_grad_enabled() and _is_recorded(model, gbuffer, *lights)
+    recorded = is_recorded(model, gbuffer, *lights)
     spare = None if recorded else _Spare.of(model, surface, gbuffer, position, tolerance)
     if spare is not None:
         image = image.new_zeros(spare.lost.expand(-1, 3, -1, -1).shape)
@@ -114,8 +114,10 @@ class _Spare:
         return box
 
 
-def _is_recorded(model: Reflection, *given: object) -> bool:
-    """Whether autograd may want what is computed of these."""
+def is_recorded(model: Reflection, *given: object) -> bool:
+    """Whether autograd records what is computed of a model, and of what these hold."""
+    if not torch.is_grad_enabled():
+        return False
     parameters = model.parameters() if isinstance(model, torch.nn.Module) else ()
     gains = (getattr(model, name, None) for name in ("diffuse_gain", "specular_gain"))
     values = (value for each in given for value in vars(each).values())

@@ -11,9 +11,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.utils.weak import WeakTensorKeyDictionary
 
+from raden_torch.arrays import Floats
 from raden_torch.brdf.shading import latlong
+from raden_torch.brdf.shading.kept_by_map import KeptByMap
 from raden_torch.brdf.shading.triples import Colour, checked
 from raden_torch.colorimetry import SRGB_LUMINANCE
 from raden_torch.errors import InputError, check_type
@@ -22,13 +23,12 @@ LARGEST = 2**27
 """Texels of a map: 16384 x 8192."""
 _USUAL_LAMPS = 512
 """Where nothing faster serves, and no number is asked for."""
-_found_good: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
-"""Maps that were checked, and which version of them: a light is made anew by every `replace`."""
+_checked: KeptByMap[None] = KeptByMap()
+"""Maps that were found good: a light is made anew by every `replace`."""
 _MOST_KEPT = 4096
 """Lamps of one map that are kept from frame to frame."""
-_MOST_SETS = 8
-_kept_lamps: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
-"""For each map its version and, by number and intensity, its lamps before they are turned."""
+_kept_lamps: KeptByMap[DistantLamps] = KeptByMap(most=8)
+"""By number and intensity, before they are turned."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +92,8 @@ class EnvironmentLight:
 
     def __post_init__(self) -> None:
         check_type("EnvironmentLight: radiance", self.radiance, Tensor, "use torch.as_tensor(x)")
-        version = version_of(self.radiance)
-        if version is None or _found_good.get(self.radiance) != version:
-            check_map("EnvironmentLight: radiance", self.radiance)
-            _found_good[self.radiance] = version
+        where = "EnvironmentLight: radiance"
+        _checked.get(self.radiance, None, lambda: check_map(where, self.radiance))
         checked("EnvironmentLight: intensity", self.intensity, may_be_one=True)
         if not np.isfinite(self.rotation_deg):
             raise InputError(
@@ -145,25 +143,14 @@ class EnvironmentLight:
     def kept_lamps(self, count: int | Literal["all"] | None = None) -> DistantLamps:
         """`lamps` without gradient, kept for as long as the map is, unchanged."""
         count = count or (self.samples or _USUAL_LAMPS)
-        version = version_of(self.radiance)
-        if count == "all" or count > _MOST_KEPT or version is None:
+        if count == "all" or count > _MOST_KEPT:
             return self.lamps(count)
-        found = _kept_lamps.get(self.radiance)
-        if found is None or found[0] != version or len(found[1]) > _MOST_SETS:
-            found = _kept_lamps[self.radiance] = (version, {})
         # the cut is by luminance, so a coloured intensity changes it
         factor = checked("intensity", self.intensity, may_be_one=True).flatten().tolist()
-        key = (count, *factor)
-        if key not in found[1]:
-            found[1][key] = replace(self, rotation_deg=0.0).lamps(count)
-        lamps = found[1][key]
+        still = replace(self, rotation_deg=0.0)
+        lamps = _kept_lamps.get(self.radiance, (count, *factor), lambda: still.lamps(count))
         turn = latlong.about_y(self.rotation_deg).to(lamps.directions)
         return DistantLamps(lamps.directions @ turn.T, lamps.irradiance)
-
-
-def version_of(tensor: Tensor) -> int | None:
-    """A number that changes whenever the tensor's values are written; None where nobody counts."""
-    return None if tensor.is_inference() else tensor._version
 
 
 def check_map(where: str, radiance: Tensor) -> None:
@@ -192,7 +179,7 @@ Part = tuple[int, int, int, int]
 """First and last + 1 of rows and columns."""
 
 
-def _median_cut(energy: NDArray[np.float64], count: int) -> list[Part]:
+def _median_cut(energy: Floats, count: int) -> list[Part]:
     height, width = energy.shape
     table = np.zeros((height + 1, width + 1))
     table[1:, 1:] = energy.cumsum(0).cumsum(1)
@@ -216,7 +203,7 @@ def _median_cut(energy: NDArray[np.float64], count: int) -> list[Part]:
     return [part for _, part in heap]
 
 
-def _halves(part: Part, table: NDArray[np.float64], high: float, wide: float) -> list[Part]:
+def _halves(part: Part, table: Floats, high: float, wide: float) -> list[Part]:
     """Two of equal energy, cut across the longer side."""
     top, bottom, left, right = part
     by_rows = bottom - top > 1 and (high >= wide or right - left == 1)

@@ -62,7 +62,8 @@ class SphereBlur:
         # a column more on each side, so that reading goes around
         wide = torch.cat([blurred[..., -1:], blurred, blurred[..., :1]], dim=2)
         turn = torch.atan2(x, -z) / math.pi * (self.width / (self.width + 2))
-        at = torch.stack([turn, torch.acos(y.clamp(-1, 1)) * (2 / math.pi) - 1], dim=-1)[None]
+        polar = torch.atan2(torch.hypot(x, z), y)
+        at = torch.stack([turn, polar * (2 / math.pi) - 1], dim=-1)[None]
         grid = torch.nn.functional.grid_sample
         return grid(wide[None], at, align_corners=False, padding_mode="border")[0]
 

@@ -93,7 +93,7 @@ def _integrated(
     turn = (torch.arange(ring.cells * around, dtype=torch.float64) + 0.5) * (
         2 * math.pi / (ring.cells * around)
     )
-    local = _around(torch.acos(cosine)[:, None], turn[None])  # [within, cells · around, 3]
+    local = _around(_angle(cosine)[:, None], turn[None])  # [within, cells · around, 3]
     light = torch.einsum("wka,acr->crwk", local, axes[..., 0])
     light = light.flatten(2)[None].float()
     n, v = normal[None].float(), view[None].float()
@@ -104,9 +104,14 @@ def _integrated(
     return (cells * area).float()
 
 
+def _angle(cosine: Tensor) -> Tensor:
+    """In radians, of a cosine −1…1."""
+    return torch.atan2(torch.sqrt((1 - cosine) * (1 + cosine)), cosine)
+
+
 def row_of(cosine: Tensor) -> Tensor:
     """Where N·V lies among the rows of `ring_weights`."""
-    share = (torch.acos(cosine.clamp(0, 1)) / _GRAZING).clamp(max=1)
+    share = (_angle(cosine.clamp(0, 1)) / _GRAZING).clamp(max=1)
     return (1 - torch.sqrt(1 - share)) * (_ROWS - 1)
 
 

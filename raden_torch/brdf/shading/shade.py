@@ -22,7 +22,7 @@ from raden_torch.brdf.model.parts import parts_of
 from raden_torch.brdf.shading import latlong
 from raden_torch.brdf.shading.area_lights import AreaLight
 from raden_torch.brdf.shading.by_material import shade_palette
-from raden_torch.brdf.shading.eager import maps_of, masked, shade_eagerly, surface_of
+from raden_torch.brdf.shading.eager import is_recorded, maps_of, masked, shade_eagerly, surface_of
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.from_afar import lamps_from_afar, surroundings_from_afar
 from raden_torch.brdf.shading.gbuffer import GBuffer
@@ -213,11 +213,7 @@ def _is_prefiltered(model: Reflection, gbuffer: GBuffer, light: EnvironmentLight
     more = (gbuffer.layer_normal, gbuffer.tangent, gbuffer.material)
     if light.samples is not None or any(m is not None for m in more):
         return False
-    parameters = model.parameters() if isinstance(model, torch.nn.Module) else ()
-    gains = (getattr(model, name, None) for name in ("diffuse_gain", "specular_gain"))
-    inputs = (*parameters, *gains, light.radiance, *(vars(gbuffer).values()))
-    tensors = [t for t in inputs if isinstance(t, Tensor)]
-    if torch.is_grad_enabled() and any(t.requires_grad for t in tensors):
+    if is_recorded(model, gbuffer, light):
         return False
     if type(model) is RadenBrdf and not kernel.takes(model, *maps_of(gbuffer)):
         return False

@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, normalize
-from torch.utils.weak import WeakTensorKeyDictionary
 
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.brdf.shading.environment import EnvironmentLight, version_of
+from raden_torch.brdf.shading.environment import EnvironmentLight
+from raden_torch.brdf.shading.kept_by_map import KeptByMap
 from raden_torch.brdf.shading.latlong import (
     SphereBlur,
     about_y,
@@ -57,7 +57,7 @@ _LAMPS = 768
 Radiance = Callable[[Tensor, Tensor], Tensor]
 """Unit normals and views `[N, 3]` in the scene's frame → radiance `[N, 3]`."""
 
-_levels: WeakTensorKeyDictionary = WeakTensorKeyDictionary()
+_levels: KeptByMap[list[Tensor]] = KeptByMap()
 
 
 @dataclass(frozen=True)
@@ -106,15 +106,15 @@ class Surroundings:
 
 def levels_of(radiance: Tensor) -> list[Tensor]:
     """The means over the cells of every ring, kept for as long as the map is, unchanged."""
-    version, kept = version_of(radiance), _levels.get(radiance)
-    if kept is None or version is None or kept[0] != version:
+
+    def make() -> list[Tensor]:
         blur = SphereBlur(radiance)
         # rings whose cells differ by a fifth share a map
         steps = [round(math.log(ring.size) / math.log(1.2)) for ring in rings()]
         maps = {step: blur.octahedral(_SIGMA * 1.2**step) for step in set(steps)}
-        kept = (version, [maps[step] for step in steps])
-        _levels[radiance] = kept
-    return kept[1]
+        return [maps[step] for step in steps]
+
+    return _levels.get(radiance, None, make)
 
 
 def _read(image: Tensor, u: Tensor, v: Tensor) -> Tensor:
