@@ -11,7 +11,7 @@ import os
 import re
 import reprlib
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -118,13 +118,18 @@ def _explained(document: Any, kind: Any, error: msgspec.ValidationError) -> tupl
         got = "none" + (f"; is it {near[0]!r}?" if near else "")
     elif unknown and not unnamed:
         key = next(key for key in value if key not in node.names())
-        near = get_close_matches(key, node.names(), 1)
         expected = f"one of {', '.join(sorted(node.names()))}"
-        got = _shown.repr(key) + (f"; did you mean {near[0]}?" if near else "")
+        got = _shown.repr(key) + nearest(key, node.names())
     else:
         key, expected, got = "", node.words(), _shown.repr(value)
     shown = key if key.isprintable() else repr(key)
     return f"{place}.{shown}"[1:].removesuffix("."), f"expected {expected}, got {got}"
+
+
+def nearest(word: str, names: Collection[str]) -> str:
+    """What comes after a word that is none of the names: a question, or nothing."""
+    near = get_close_matches(word, names, 1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 class _Node:

@@ -6,12 +6,12 @@ is the room, and the pale paper of a window is what brings out its depth and the
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from raden_torch.brdf.shading.area_lights import on_rectangle
 from raden_torch.brdf.shading.latlong import directions
 from raden_torch.errors import InputError
 
@@ -48,11 +48,8 @@ class Window:
         middle, across, up = (
             torch.tensor(x, dtype=towards.dtype) for x in (self.middle, self.across, self.up)
         )
-        normal = torch.linalg.cross(across, up)
-        facing = normal @ towards
-        reach = (normal @ middle) / torch.where(facing.abs() > 1e-9, facing, 1e-9)
-        offset = reach * towards - middle[:, None]
-        u, v = (axis @ offset / (axis @ axis) for axis in (across, up))
+        origin = torch.zeros_like(towards[:, :1])
+        (u, v), reach, _ = on_rectangle(origin, towards, middle, across, up)
         inside = (reach > 0) & (u.abs() < 1) & (v.abs() < 1)
         for place, count in ((u, self.panes[0]), (v, self.panes[1])):
             within = torch.remainder((place + 1) / 2 * count, 1.0)
@@ -97,17 +94,3 @@ def room(height: int = 256, windows: tuple[Window, ...] = SHOJI) -> Tensor:
         light = light * (1 - shone[3]) + shone[:3]
     image = light.reshape(1, 3, height * _SAMPLES, -1)
     return torch.nn.functional.avg_pool2d(image, _SAMPLES)[0].float().contiguous()
-
-
-def solid_angle_of(window: Window) -> float:
-    """Of a window from the object, in sr, by its four corners (van Oosterom & Strackee 1983)."""
-    m, a, u = (torch.tensor(x, dtype=torch.float64) for x in (window.middle, window.across,
-                                                              window.up))  # fmt: skip
-    corners = [m - a - u, m + a - u, m + a + u, m - a + u]
-
-    def triangle(p: Tensor, q: Tensor, r: Tensor) -> float:
-        x, y, z = (v / v.norm() for v in (p, q, r))
-        top = float(torch.linalg.cross(y, z) @ x)
-        return 2 * math.atan2(abs(top), 1 + float(x @ y + y @ z + z @ x))
-
-    return triangle(*corners[:3]) + triangle(corners[0], corners[2], corners[3])

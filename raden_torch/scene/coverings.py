@@ -21,6 +21,7 @@ from raden_torch.errors import InputError
 from raden_torch.optics.specimens import SPECIMENS
 from raden_torch.scene.dressing import FLAKES, LAYERS, SURFACE, Covering
 from raden_torch.scene.scene_file import MaterialTable
+from raden_torch.schema import nearest
 
 POLISH = 0.012
 """GGX α of mirror-polished urushi (*roiro*): an assumption."""
@@ -92,13 +93,10 @@ class MaterialNames:
     def check(self, names: Iterable[str], where: str) -> None:
         for name in names:
             if name not in self._tables:
-                from difflib import get_close_matches
-
-                near = get_close_matches(name, self._tables, 1)
-                hint = f"; did you mean {near[0]}?" if near else ""
                 raise InputError(
                     f"{self._where}: {where}: expected a material, one of "
-                    f"{', '.join(sorted(self._tables))}, got {name!r}{hint}"
+                    f"{', '.join(sorted(self._tables))}, got {name!r}"
+                    f"{nearest(name, self._tables)}"
                 )
 
     def of(self, name: str) -> Named:

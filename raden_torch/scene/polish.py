@@ -8,29 +8,33 @@ SIGGRAPH 2013). α of 0.01 to 0.1, of polished lacquer, is what this is for.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.microfacet import albedo
-from raden_torch.brdf.shading.area_lights import RectangleLight
+from raden_torch.brdf.shading.area_lights import RectangleLight, on_rectangle
 from raden_torch.brdf.shading.environment import EnvironmentLight
+from raden_torch.brdf.shading.kept_by_map import KeptByMap
 from raden_torch.brdf.shading.latlong import SphereBlur, about_y, octahedral
 from raden_torch.brdf.shading.triples import as_map, checked
 
 _WIDTH = 1.35
 """Standard deviation of the Gaussian about R over α."""
 _BLOCK = 1 << 18
+_blurred: KeptByMap[Tensor] = KeptByMap(most=4)
+"""Blurred maps by roughness."""
 
 
 class MirroredSurroundings:
     """An environment as a polished face shows it."""
 
     def __init__(self, light: EnvironmentLight, roughness: float) -> None:
-        self._map = _blurred(_Kept(light.radiance), roughness)
+        radiance = light.radiance
+        self._map = _blurred.get(
+            radiance, roughness, lambda: SphereBlur(radiance).octahedral(_WIDTH * roughness)
+        )
         self._turn = about_y(-light.rotation_deg).float()
         self._factor = checked("intensity", light.intensity, may_be_one=True).float()
 
@@ -50,18 +54,12 @@ def mirrored_rectangle(light: RectangleLight, position: Tensor, mirror: Tensor) 
     Its edges are sharp: a polish of small α blurs them by less than they are wide.
     """
     middle, across, up, radiance = (
-        as_map(x, position[None, :, None])[0, :, 0]
+        as_map(x, position[None, :, None])[0, :, 0, 0]
         for x in (light.position, light.across, light.up, light.radiance)
     )
-    normal = torch.linalg.cross(across, up, dim=0)
-    facing = (normal * mirror).sum(0)
-    reach = (normal * (middle - position)).sum(0) / torch.where(facing < 0, facing, -1.0)
-    offset = position + reach * mirror - middle
-    # places in units of the sides, which need not be at right angles
-    sides = torch.cat([across, up], 1)
-    along = torch.linalg.lstsq(sides, offset).solution
-    inside = (along.abs() < 0.5).all(0) & (facing < 0) & (reach > 0)
-    return radiance * inside
+    place, reach, facing = on_rectangle(position, mirror, middle, across, up)
+    inside = (place.abs() < 0.5).all(0) & (facing < 0) & (reach > 0)
+    return radiance[:, None] * inside
 
 
 def reflected_share(face: Coated, cosine: Tensor) -> Tensor:
@@ -73,21 +71,3 @@ def mirrored(normal: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
     """The mirror direction of unit views `[3, N]`, and their cosine `[N]`, at least 0."""
     cosine = (normal * view).sum(0)
     return 2 * cosine * normal - view, cosine.clamp(min=0)
-
-
-class _Kept:
-    """A map as a key: the same while it is the same tensor."""
-
-    def __init__(self, radiance: Tensor) -> None:
-        self.radiance = radiance
-
-    def __hash__(self) -> int:
-        return hash((id(self.radiance), self.radiance._version))
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Kept) and other.radiance is self.radiance
-
-
-@lru_cache(maxsize=4)
-def _blurred(kept: _Kept, roughness: float) -> Tensor:
-    return SphereBlur(kept.radiance).octahedral(_WIDTH * roughness)

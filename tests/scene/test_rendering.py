@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch import Tensor
 
 import raden_torch as rt
 from raden_torch.artwork.box import LID, NOTHING, TABLE, Box
 from raden_torch.artwork.box_decoration import decorated
-from raden_torch.artwork.room import SHOJI, room, solid_angle_of
+from raden_torch.artwork.room import SHOJI, Window, room
 from raden_torch.brdf.materials.simulated_shell import SimulatedShell
 from raden_torch.brdf.materials.urushi import black_urushi
 from raden_torch.brdf.shading.area_lights import RectangleLight
@@ -86,6 +87,20 @@ def test_a_camera_s_rays() -> None:
     torch.testing.assert_close(corners, expected, atol=1e-6, rtol=0)
     with pytest.raises(InputError, match="fov_deg"):
         Camera((0.0, 0.0, 5.0), (0.0, 0.0, 0.0), 180.0, (2, 2))
+
+
+def solid_angle_of(window: Window) -> float:
+    """Of a window from the object, in sr, by its four corners (van Oosterom & Strackee 1983)."""
+    m, a, u = (torch.tensor(x, dtype=torch.float64) for x in (window.middle, window.across,
+                                                              window.up))  # fmt: skip
+    corners = [m - a - u, m + a - u, m + a + u, m - a + u]
+
+    def triangle(p: Tensor, q: Tensor, r: Tensor) -> float:
+        x, y, z = (v / v.norm() for v in (p, q, r))
+        top = float(torch.linalg.cross(y, z) @ x)
+        return 2 * math.atan2(abs(top), 1 + float(x @ y + y @ z + z @ x))
+
+    return triangle(*corners[:3]) + triangle(corners[0], corners[2], corners[3])
 
 
 def test_a_room_s_windows_have_their_solid_angle() -> None:

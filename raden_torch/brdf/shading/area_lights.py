@@ -15,6 +15,7 @@ from raden_torch.geometry import dot, normalised
 
 _MOST = 24
 """Samples along each side."""
+_PARALLEL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +137,29 @@ class SphereLight:
 
 
 AreaLight = RectangleLight | DiscLight | SphereLight
+
+
+def on_rectangle(
+    start: Tensor, towards: Tensor, middle: Tensor, across: Tensor, up: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Where rays meet the plane of a rectangle.
+
+    Args:
+        start, towards: `[3, 1 or N]` and `[3, N]`, of the rays.
+        middle, across, up: `[3]` each; the two sides need not be at right angles.
+
+    Returns:
+        `[2, N]` the place from the middle, in sides; `[N]` the reach, in lengths of `towards`, not
+        above 0 behind the start; `[N]` below 0 where the front, to which `across` × `up` points, is
+        met.
+    """
+    normal = torch.linalg.cross(across, up)
+    facing = normal @ towards
+    apart = torch.where(facing.abs() > _PARALLEL, facing, _PARALLEL)
+    reach = normal @ (middle[:, None] - start) / apart
+    offset = start + reach * towards - middle[:, None]
+    sides = torch.stack([across, up])
+    return torch.linalg.solve(sides @ sides.T, sides @ offset), reach, facing
 
 
 def _disc(

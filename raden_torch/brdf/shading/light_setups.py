@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from raden_torch.brdf.shading import latlong
+from raden_torch.brdf.shading.area_lights import on_rectangle
 from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.errors import InputError
 
@@ -65,35 +66,30 @@ def _tent(towards: Tensor) -> Tensor:
 
 def _window(towards: Tensor) -> Tensor:
     wide, high, bar = 1.2, 1.5, 0.06
-    x, y = _on_rectangle(towards, (-1.5, 0.6, 0.5), wide, high)
+    x, y = _on_facing(towards, (-1.5, 0.6, 0.5), wide, high)
     pane = (x.abs() < wide / 2) & (y.abs() < high / 2) & (x.abs() > bar / 2) & (y.abs() > bar / 2)
-    card_x, card_y = _on_rectangle(towards, (0.6, 0.0, 0.2), 0.5, 0.5)
+    card_x, card_y = _on_facing(towards, (0.6, 0.0, 0.2), 0.5, 0.5)
     card = (card_x.abs() < 0.25) & (card_y.abs() < 0.25)
     return torch.where(pane, 1.0, torch.where(card, 0.15, 0.03)).double()
 
 
 def _softbox(towards: Tensor) -> Tensor:
     wide, high = 0.6, 0.9
-    x, y = _on_rectangle(towards, (0.0, 0.9, -0.4), wide, high)
+    x, y = _on_facing(towards, (0.0, 0.9, -0.4), wide, high)
     inside = (x.abs() < wide / 2) & (y.abs() < high / 2)
     cloth = 1 - 0.5 * ((x / wide) ** 2 + (y / high) ** 2) * 2
     return torch.where(inside, cloth, 0.01)
 
 
-def _on_rectangle(
-    towards: Tensor, middle: _Place, wide: float, high: float
-) -> tuple[Tensor, Tensor]:
+def _on_facing(towards: Tensor, middle: _Place, wide: float, high: float) -> tuple[Tensor, Tensor]:
     """Where rays from the origin meet the plane of a rectangle that faces it, in metres across and
     up from its middle; far outside where they go the other way."""
     at = torch.tensor(middle, dtype=torch.float64)
-    distance = at.norm()
-    axis = at / distance
+    axis = at / at.norm()
     up = torch.tensor([0.0, 0.0, -1.0] if abs(axis[1]) > 0.8 else [0.0, 1.0, 0.0]).double()
     across = torch.nn.functional.normalize(torch.linalg.cross(axis, up), dim=0)
     up = torch.linalg.cross(across, axis)
-    along = torch.einsum("c,chw->hw", axis, towards)
-    x, y = (torch.einsum("c,chw->hw", way, towards) for way in (across, up))
-    behind = along <= 1e-6
-    reach = distance / along.clamp(min=1e-6)
-    far = torch.full_like(x, 1e3 * max(wide, high))
-    return torch.where(behind, far, x * reach), torch.where(behind, far, y * reach)
+    rays = towards.flatten(1)
+    place, reach, _ = on_rectangle(torch.zeros_like(rays[:, :1]), rays, at, across, up)
+    x, y = torch.where(reach > 0, place, 1e3 * max(wide, high)).view(2, *towards.shape[1:])
+    return x, y
