@@ -12,11 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from raden_torch.arrays import Floats
 from raden_torch.colorimetry import XYZ_TO_SRGB
-
-Floats = NDArray[np.float64]
 
 _ORDERS = 2
 # of x, y and z, and x's second lobe: height, centre and variance in 1/m, as published

@@ -15,14 +15,13 @@ from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
 from raden_torch import __version__
+from raden_torch.arrays import Bools, Floats
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.errors import check_type
 from raden_torch.export.forms import RuntimeForm, form_of
 from raden_torch.export.gltf_brdf import GltfMaterial
 from raden_torch.export.whole_reflection import highlight_roughness
 from raden_torch.files import check_output, written_beside
-
-Floats = NDArray[np.float64]
 
 _PAIRS = 800
 _HELD_OUT = 4000
@@ -120,7 +119,7 @@ def nearest_material(form: RuntimeForm) -> GltfReport:
     return GltfReport(material, _share(off, wanted, even), _share(off, wanted, near))
 
 
-def _share(off: Floats, wanted: Floats, where: NDArray[np.bool_]) -> float:
+def _share(off: Floats, wanted: Floats, where: Bools) -> float:
     whole = np.sqrt(np.mean(wanted[where] ** 2))
     return float(np.sqrt(np.mean(off[where] ** 2)) / whole) if whole else 0.0
 

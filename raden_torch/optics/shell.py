@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -59,23 +60,42 @@ def brdf_per_sr(shell: Specimen, light: Floats, view: Floats) -> Floats:
     Args:
         light, view: `[M, 3]` unit vectors in the sample's frame, on or above the surface.
     """
+    return composed(
+        shell,
+        light,
+        view,
+        lambda q_squared, gone: film_reflectance(shell, q_squared, tablet_nm_at(shell, gone)),
+        lambda cos_light, cos_view: body_per_sr(shell, cos_light, cos_view),
+    )
+
+
+Part = Callable[[Floats, Floats], Floats]
+
+
+def composed(shell: Specimen, light: Floats, view: Floats, films: Part, body: Part) -> Floats:
+    """`[M, channels]` films on facets over a body, seen through the coat.
+
+    Args:
+        light, view: as for `brdf_per_sr`.
+        films: reflectance of a facet by (n sin θ)² and by how far its tablets have gone from flat
+            to steep, 0…1, `[M]` each.
+        body: as `body_per_sr`, by the cosines outside of the coat.
+    """
     n = shell.coat_n
     cos_light, cos_view = np.maximum(light[..., 2], 0), np.maximum(view[..., 2], 0)
     light, view = lacquered.refracted(light, n), lacquered.refracted(view, n)
     passed = lacquered.coat_transmittance(cos_light, light[..., 2], n)
     passed = passed * lacquered.coat_transmittance(cos_view, view[..., 2], n)
-    brdf = _films(shell, light, view) + body_per_sr(shell, cos_light, cos_view)
-    # radiance falls by n² on leaving the coat
-    return np.asarray(brdf * (passed / n**2)[..., None])
-
-
-def _films(shell: Specimen, light: Floats, view: Floats) -> Floats:
     slope_x, slope_y = lacquered.facet_slopes(light, view)
     density = lacquered.slope_density(shell.facets, slope_x, slope_y)
     # half the angle between L and V is the angle on the facet: sin² = (1 − L·V)/2
-    q_squared = shell.coat_n**2 * (1 - np.sum(light * view, axis=-1)) / 2
-    reflectance = film_reflectance(shell, q_squared, tablet_nm_at(shell, slope_x**2 + slope_y**2))
-    return lacquered.facet_brdf(density, reflectance, light, view)
+    q_squared = n**2 * (1 - np.sum(light * view, axis=-1)) / 2
+    slope_squared = slope_x**2 + slope_y**2
+    gone = slope_squared / (slope_squared + shell.half_slope**2)
+    brdf = lacquered.facet_brdf(density, films(q_squared, gone), light, view)
+    brdf = brdf + body(cos_light, cos_view)
+    # radiance falls by n² on leaving the coat
+    return np.asarray(brdf * (passed / n**2)[..., None])
 
 
 def body_per_sr(shell: Specimen, cos_light: Floats, cos_view: Floats) -> Floats:
@@ -87,9 +107,8 @@ def body_per_sr(shell: Specimen, cos_light: Floats, cos_view: Floats) -> Floats:
     return lacquered.body_brdf(albedo, reflected_in, reflected_out, shell.coat_n)
 
 
-def tablet_nm_at(shell: Specimen, slope_squared: Floats) -> Floats:
-    """Thickness of the tablets where the planes stand at a slope."""
-    gone = slope_squared / (slope_squared + shell.half_slope**2)
+def tablet_nm_at(shell: Specimen, gone: Floats) -> Floats:
+    """Thickness of the tablets that have gone so far, 0…1, from flat to steep."""
     return shell.stack.tablet_nm + (shell.steep_tablet_nm - shell.stack.tablet_nm) * gone
 
 

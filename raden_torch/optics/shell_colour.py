@@ -15,11 +15,11 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from raden_torch.arrays import Floats
-from raden_torch.optics import lacquered
 from raden_torch.optics.shell import (
     BANDS_NM,
     Specimen,
     body_per_sr,
+    composed,
     film_reflectance,
     tablet_nm_at,
 )
@@ -50,7 +50,7 @@ class ShellColour:
         q_squared, gone = np.meshgrid(
             np.linspace(0, 1, _Q_SQUARED), np.linspace(0, 1, _GONE, endpoint=False), indexing="ij"
         )
-        nm = tablet_nm_at(shell, shell.half_slope**2 * gone / (1 - gone))
+        nm = tablet_nm_at(shell, gone)
         cosine = np.linspace(0, 1, _COSINES)
         grid = np.meshgrid(cosine, cosine, indexing="ij")
         assert len(BANDS_NM) == len(to_xyz)
@@ -62,21 +62,13 @@ class ShellColour:
 
     def xyz_per_sr(self, light: Floats, view: Floats) -> Floats:
         """`[M, 3]` f_r in 1/sr of light and view `[M, 3]`, unit, on or above the surface."""
-        n = self.shell.coat_n
-        cosines = [np.maximum(w[..., 2], 0) for w in (light, view)]
-        inside = [lacquered.refracted(w, n) for w in (light, view)]
-        passed = np.ones(len(light))
-        for cosine, within in zip(cosines, inside, strict=True):
-            passed = passed * lacquered.coat_transmittance(cosine, within[..., 2], n)
-        slope_x, slope_y = lacquered.facet_slopes(*inside)
-        density = lacquered.slope_density(self.shell.facets, slope_x, slope_y)
-        q_squared = n**2 * (1 - np.sum(inside[0] * inside[1], axis=-1)) / 2
-        steepness = slope_x**2 + slope_y**2
-        gone = steepness / (steepness + self.shell.half_slope**2)
-        mirrored = _read(self.films, q_squared * (_Q_SQUARED - 1), gone * _GONE)
-        brdf = lacquered.facet_brdf(density, mirrored, *inside)
-        brdf = brdf + _read(self.body, *(c * (_COSINES - 1) for c in cosines))
-        return np.asarray(brdf * (passed / n**2)[..., None])
+        return composed(
+            self.shell,
+            light,
+            view,
+            lambda q_squared, gone: _read(self.films, q_squared * (_Q_SQUARED - 1), gone * _GONE),
+            lambda *cosines: _read(self.body, *(c * (_COSINES - 1) for c in cosines)),
+        )
 
 
 def _read(table: Floats, row: Floats, column: Floats) -> Floats:

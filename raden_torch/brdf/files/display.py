@@ -129,6 +129,11 @@ class Display:
         return 0.0 if isinstance(self.exposure, str) else float(self.exposure)
 
     @property
+    def suffixes(self) -> tuple[str, ...]:
+        """Of files that can say which colour space theirs is."""
+        return (".exr",) if self.colour_space == "acescg" else (*PICTURE_SUFFIXES, ".exr")
+
+    @property
     def profile(self) -> str | None:
         """A picture's; None where it goes unsaid, as sRGB's."""
         return _CHUNKED.get(self.colour_space)
@@ -170,7 +175,7 @@ class Display:
     def check_path(self, path: str | os.PathLike[str]) -> None:
         """Raise InputError where `write` would, so before the work is done."""
         check_picture_path(path, (*PICTURE_SUFFIXES, ".exr"))
-        if self.colour_space == "acescg" and Path(path).suffix.lower() != ".exr":
+        if Path(path).suffix.lower() not in self.suffixes:
             raise InputError(
                 f"{path}: expected an .exr for ACEScg, which is linear; display-p3 is a picture's"
             )

@@ -110,10 +110,8 @@ def check_photograph(
     photo: Photograph, path: str | os.PathLike[str], display: Display = _CLIPPED
 ) -> None:
     """Raise InputError where `write_photograph` could not write it under this suffix."""
-    named = {"srgb": None, "display-p3": (".png", ".jpg", ".jpeg", ".exr"), "acescg": (".exr",)}
-    suffixes = named[display.colour_space]
-    if suffixes is not None:
-        _check_suffix(path, suffixes, f"{display.colour_space}")
+    if display.colour_space != "srgb":  # which goes unsaid
+        _check_suffix(path, display.suffixes, display.colour_space)
     if photo.levels is None:
         _check_suffix(path, _FLOAT_SUFFIXES, "a floating-point photograph")
     else:

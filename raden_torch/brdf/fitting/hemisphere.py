@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.arrays import Floats
 from raden_torch.brdf.fitting.tabulate import Tabulated
 from raden_torch.brdf.model.model import RadenBrdf
 
@@ -57,9 +57,7 @@ def directional_albedo(model: RadenBrdf) -> dict[float, float]:
     return dict(zip(INCIDENCES_DEG, totals.tolist(), strict=True))
 
 
-def sums_over_directions(
-    f: Callable[[Tensor, Tensor, Tensor], Tensor], cosines: NDArray[np.float64]
-) -> Tensor:
+def sums_over_directions(f: Callable[[Tensor, Tensor, Tensor], Tensor], cosines: Floats) -> Tensor:
     """∫ f cos θ dω over the hemisphere, by Gauss-Legendre quadrature over cos θ and equal steps of
     the azimuth, in float64.
 
