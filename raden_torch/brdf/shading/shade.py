@@ -342,10 +342,7 @@ def _by_kernel(
     Args:
         kept: where packed lights are kept, and by what key.
     """
-    wants_gradient = torch.is_grad_enabled() and any(
-        isinstance(light, EnvironmentLight) and light.radiance.requires_grad for light in lights
-    )
-    if wants_gradient:
+    if is_recorded(model, gbuffer, *lights):
         return None
     lights = [x.kept_lamps() if isinstance(x, EnvironmentLight) else x for x in lights]
     known = [light for light in lights if isinstance(light, KernelLight)]
@@ -367,7 +364,7 @@ def _by_kernel(
             found[key] = packed(known, position, normal)
         lamps = found[key]
     inputs = (normal, layers, view, position, camera, floating, lamps)
-    if not kernel.takes(model, *inputs) or kernel.asks_for_gradient(model, *inputs):
+    if not kernel.takes(model, *inputs):
         return None
     for lamp in lamps[:1]:
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])

@@ -169,6 +169,16 @@ def test_radiance_has_a_gradient(shell) -> None:
     assert (radiance.grad != 0).any()
 
 
+@pytest.mark.parametrize("samples", [None, 16])
+def test_intensity_has_a_gradient(shell, samples) -> None:
+    """Of 2 x, which radiance is linear in."""
+    intensity = torch.tensor([2.0, 2.0, 2.0], requires_grad=True)
+    light = EnvironmentLight(bright(), intensity=intensity, samples=samples)
+    image = rt.shade(shell, sphere(6, samples=1), light)
+    image.sum().backward()
+    torch.testing.assert_close(2 * intensity.grad, image.detach().sum((0, 2, 3)))
+
+
 def test_visibility_darkens_one_light(shell) -> None:
     gbuffer = sphere(8, samples=1)
     seen = torch.zeros(1, 1, 8, 8)
