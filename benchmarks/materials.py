@@ -10,13 +10,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import statistics
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import torch
+from in_turn import median_ms
 from torch import Tensor
 
 import raden_torch as rt
@@ -55,18 +53,6 @@ def frames(model: rt.RadenBrdf, height: int, width: int, lamps: int) -> dict[str
     return {name: lambda x=x: rt.shade(x[0], x[1], lights) for name, x in of.items()}
 
 
-def timed(made: dict[str, Callable[[], Tensor]], runs: int) -> dict[str, float]:
-    """Median milliseconds of each, taken by turns."""
-    taken: dict[str, list[float]] = {name: [] for name in made}
-    for turn in range(runs + 1):
-        for name, run in made.items():
-            start = time.perf_counter()
-            run()
-            if turn:  # the first one bakes
-                taken[name].append(1e3 * (time.perf_counter() - start))
-    return {name: statistics.median(values) for name, values in taken.items()}
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
@@ -76,7 +62,7 @@ def main() -> None:
     model = rt.fit(rt.simulate_specimen("yakogai")).model.requires_grad_(False)
     rows = []
     for lamps in LAMPS:
-        ms = timed(frames(model, *options.size, lamps), options.runs)
+        ms = median_ms(frames(model, *options.size, lamps), options.runs)
         rows.append({"lamps": lamps, "ms": ms})
         for name, value in ms.items():
             print(f"{lamps} lamp(s), {name}: {value:.1f} ms, {value / ms['plain']:.2f}")

@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from in_turn import in_turn
 
 import raden_torch as rt
 from raden_torch.export.constants import fix_parameters
@@ -57,18 +58,6 @@ def unit(vectors: np.ndarray) -> np.ndarray:
     return (vectors / np.linalg.norm(vectors, axis=0)).astype(np.float32)[None]
 
 
-def in_turn(jobs: dict[str, Callable[[], object]]) -> dict[str, list[float]]:
-    """Seconds of each job, run one after the other, over and over."""
-    times: dict[str, list[float]] = {name: [] for name in jobs}
-    for run in range(WARM_UP + RUNS):
-        for name, job in jobs.items():
-            start = time.perf_counter()
-            job()
-            if run >= WARM_UP:
-                times[name].append(time.perf_counter() - start)
-    return times
-
-
 def rows(times: dict[str, list[float]], base: str) -> list[dict[str, Any]]:
     """Medians, and ratios to one of the jobs, pair by pair."""
     found = []
@@ -94,7 +83,7 @@ def speed(files: dict[str, bytes], maps: Arrays, floor: Callable[[], object]) ->
         jobs[f"{name}, one call"] = lambda plain=plain: plain.run(None, maps)
     tiled = ShaderSession(files["interchange"])
     jobs["tiles"] = lambda: tiled.run(**maps)
-    return rows(in_turn(jobs), "floor")
+    return rows(in_turn(jobs, RUNS, warm_up=WARM_UP), "floor")
 
 
 def masks(data: bytes, maps: Arrays) -> list[dict[str, Any]]:
@@ -108,7 +97,7 @@ def masks(data: bytes, maps: Arrays) -> list[dict[str, Any]]:
         "10 % in a disc": lambda: session.run(**maps, mask=disc),
         "10 % scattered": lambda: session.run(**maps, mask=scattered),
     }
-    return rows(in_turn(jobs), "all")
+    return rows(in_turn(jobs, RUNS, warm_up=WARM_UP), "all")
 
 
 def others(files: dict[str, bytes], size: int) -> list[dict[str, Any]]:

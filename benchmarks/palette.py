@@ -11,12 +11,11 @@ from __future__ import annotations
 import argparse
 import copy
 import json
-import statistics
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from in_turn import median_ms
 from torch import Tensor
 
 import raden_torch as rt
@@ -55,18 +54,6 @@ def forms(model: rt.RadenBrdf, share: float, lamps: int) -> dict[str, Callable[[
     return made
 
 
-def timed(made: dict[str, Callable[[], Tensor]], runs: int) -> dict[str, float]:
-    """Median milliseconds of each, taken by turns."""
-    taken: dict[str, list[float]] = {name: [] for name in made}
-    for turn in range(runs + 1):
-        for name, run in made.items():
-            start = time.perf_counter()
-            run()
-            if turn:  # the first one bakes
-                taken[name].append(1e3 * (time.perf_counter() - start))
-    return {name: statistics.median(values) for name, values in taken.items()}
-
-
 def draw(rows: list[dict[str, object]], path: Path) -> None:
     import matplotlib.pyplot as plt
 
@@ -92,7 +79,7 @@ def main() -> None:
     rows: list[dict[str, object]] = []
     for share in SHARES:
         for lamps in LAMPS:
-            ms = timed(forms(model, share, lamps), options.runs)
+            ms = median_ms(forms(model, share, lamps), options.runs)
             rows.append({"covered": share, "lamps": lamps, "ms": ms})
             ratios = ", ".join(f"{k}: {ms[str(k)] / ms['1']:.2f}" for k in COUNTS)
             print(

@@ -69,7 +69,7 @@ def verify_shader(path: str | os.PathLike[str], *, node_modules: Path) -> Shader
     path = Path(path)
     about, table = _described(path)
     form = _form(path, about, table)
-    with _browser(path, node_modules) as worker:
+    with _browser(path, about, table, node_modules) as worker:
         return _compared(path, form, worker)
 
 
@@ -92,13 +92,15 @@ def draw_shader(
     Raises:
         InputError: as for `verify_shader`.
     """
-    with _browser(Path(path), node_modules) as worker:
+    path = Path(path)
+    with _browser(path, *_described(path), node_modules) as worker:
         return _drawn(worker, *torch.broadcast_tensors(normal, light, view))
 
 
 @contextmanager
-def _browser(path: Path, node_modules: Path) -> Iterator[Worker]:
-    about, table = _described(path)
+def _browser(
+    path: Path, about: dict[str, Any], table: bytes, node_modules: Path
+) -> Iterator[Worker]:
     files = {
         "shader.txt": path.read_bytes(),
         "table.bin": table,

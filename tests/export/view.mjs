@@ -1,23 +1,14 @@
 // Opens exported pages in one headless Chromium and does what the tests ask. Arguments: node_modules,
 // Chromium. A visit a line on stdin as JSON: {page, width, height, scale, before, frame, steps:
 // [[action, ...words]], picture}; what is there at first and after each step as a line on stdout.
-import fs from "node:fs";
-import os from "node:os";
 import path from "node:path";
 import readline from "node:readline";
-import { createRequire } from "node:module";
 import { pathToFileURL } from "node:url";
+import { openChromium } from "../../raden_torch/export/workers/chromium.mjs";
 
 const [modules, chromium] = process.argv.slice(2);
-const { chromium: browser } = createRequire(path.join(path.resolve(modules), "x.js"))("playwright-core");
-const profile = fs.mkdtempSync(path.join(os.tmpdir(), "raden-browser-"));
-const context = await browser.launchPersistentContext(profile, {
-  executablePath: chromium, headless: true, viewport: { width: 640, height: 900 },
-  args: [
-    "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-  ],
-});
+const browser = await openChromium(modules, chromium, { viewport: { width: 640, height: 900 } });
+const { context } = browser;
 
 // frozen, so that a busy machine does not choose fewer lamps; few texels, since SwiftShader is slow
 const still = (scale) => {
@@ -70,7 +61,7 @@ async function visited({ page: file, width, height, scale = 1, before = "", fram
     const look = async () => {
       // what was asked for is drawn in the next frame
       await at.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 30)))));
-      await at.waitForFunction(() => (document.body.dataset.resting ?? "true") === "true", { timeout: 120_000 });
+      await at.waitForFunction(() => (document.body.dataset.resting ?? "true") === "true", null, { timeout: 120_000 });
       found.seen.push(await at.evaluate(seen));
     };
     await look();
@@ -90,6 +81,5 @@ try {
   for await (const line of readline.createInterface({ input: process.stdin }))
     process.stdout.write(JSON.stringify(await visited(JSON.parse(line))) + "\n");
 } finally {
-  await context.close();
-  fs.rmSync(profile, { recursive: true, force: true });
+  await browser.close();
 }

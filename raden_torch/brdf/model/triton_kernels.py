@@ -87,6 +87,59 @@ def _square_beside(at, low, high):
     return beside * beside
 
 
+@triton.jit
+def _reach(lamp, extent, POSITION: tl.constexpr):
+    """The most that a lamp can add to a block, over what may be lost."""
+    reach = tl.load(lamp + 12)
+    if POSITION:
+        if (tl.load(lamp) > 0) & (reach < _LARGEST):
+            square = _square_beside(tl.load(lamp + 1), extent[0], extent[1])
+            square += _square_beside(tl.load(lamp + 2), extent[2], extent[3])
+            square += _square_beside(tl.load(lamp + 3), extent[4], extent[5])
+            reach = reach / tl.maximum(square, _LEAST_NORMAL)
+    return reach
+
+
+@triton.jit
+def _by_lamp(
+    table,
+    lamp,
+    n,
+    leaning,
+    v,
+    n_v,
+    at,
+    seen,
+    LAYERS: tl.constexpr,
+    POSITION: tl.constexpr,
+    BLOCK: tl.constexpr,
+):
+    """f_r E cos θi of one lamp: red, green and blue."""
+    to = (
+        tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 1),
+        tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 2),
+        tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 3),
+    )
+    strength = tl.full((BLOCK,), 1.0, tl.float32)
+    if POSITION:
+        kind = tl.load(lamp)
+        if kind > 0:
+            to, strength = _towards(lamp, kind, at)
+    n_l = _dot(n, to)
+    strength *= n_l
+    lit = seen & (n_l > 0) & (strength > 0)
+    if LAYERS:
+        n_l = _dot(leaning, to)
+        lit = lit & (n_l > 0)
+    f = _f_r(table, leaning, to, v, n_l, n_v, lit, BLOCK)
+    strength = tl.where(lit, strength, 0.0)
+    return (
+        strength * f[0] * tl.load(lamp + 4),
+        strength * f[1] * tl.load(lamp + 5),
+        strength * f[2] * tl.load(lamp + 6),
+    )
+
+
 @triton.jit(do_not_specialize=["lamp_count"])
 def shade(
     normal,
@@ -148,39 +201,17 @@ def shade(
             low_x, high_x = _extent(at[0], seen)
             low_y, high_y = _extent(at[1], seen)
             low_z, high_z = _extent(at[2], seen)
+    extent = (low_x, high_x, low_y, high_y, low_z, high_z)
     for k in range(lit_by):
         lamp = lamps + b * lamp_image_stride + k * lamp_stride
-        reach = tl.load(lamp + 12)
-        if POSITION:
-            if (tl.load(lamp) > 0) & (reach < _LARGEST):
-                square = _square_beside(tl.load(lamp + 1), low_x, high_x)
-                square += _square_beside(tl.load(lamp + 2), low_y, high_y)
-                square += _square_beside(tl.load(lamp + 3), low_z, high_z)
-                reach = reach / tl.maximum(square, _LEAST_NORMAL)
+        reach = _reach(lamp, extent, POSITION)
         left_out = lost + reach <= 1.0
         lost = tl.where(left_out, lost + reach, lost)
         if not left_out:
-            to = (
-                tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 1),
-                tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 2),
-                tl.zeros((BLOCK,), tl.float32) + tl.load(lamp + 3),
-            )
-            strength = tl.full((BLOCK,), 1.0, tl.float32)
-            if POSITION:
-                kind = tl.load(lamp)
-                if kind > 0:
-                    to, strength = _towards(lamp, kind, at)
-            n_l = _dot(n, to)
-            strength *= n_l
-            lit = seen & (n_l > 0) & (strength > 0)
-            if LAYERS:
-                n_l = _dot(leaning, to)
-                lit = lit & (n_l > 0)
-            f = _f_r(table, leaning, to, v, n_l, n_v, lit, BLOCK)
-            strength = tl.where(lit, strength, 0.0)
-            red += strength * f[0] * tl.load(lamp + 4)
-            green += strength * f[1] * tl.load(lamp + 5)
-            blue += strength * f[2] * tl.load(lamp + 6)
+            more = _by_lamp(table, lamp, n, leaning, v, n_v, at, seen, LAYERS, POSITION, BLOCK)
+            red += more[0]
+            green += more[1]
+            blue += more[2]
     red = tl.where(tl.abs(red) <= _LARGEST, red * share, 0.0)
     green = tl.where(tl.abs(green) <= _LARGEST, green * share, 0.0)
     blue = tl.where(tl.abs(blue) <= _LARGEST, blue * share, 0.0)

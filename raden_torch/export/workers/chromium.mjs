@@ -36,7 +36,7 @@ export async function openChromium(modules, program, { graphics = true, viewport
     await context.close();
     fs.rmSync(profile, { recursive: true, force: true });
   };
-  return { page, version, close };
+  return { context, page, version, close };
 }
 
 // roots: {"/prefix/": folder}; index: the text of the page at /; isolated: with COOP and COEP, as
