@@ -99,7 +99,7 @@ def render(
 
     shown_by = display.display
     shown_by.check_path(output)
-    check_output(output, inputs=(model, gbuffer, around.environment, exr.material))
+    check_output(output, inputs=(model, gbuffer, around.environment, exr.material, exr.camera_file))
     lights = [*_lights(light), *around.lights()]
     if gbuffer is None:
         exr.check_without_gbuffer()
@@ -129,6 +129,7 @@ def _render_gbuffer(
     )
 
     reading = exr.reading if camera is None else replace(exr.reading, camera=camera)
+    lights = [reading.light(light) for light in lights]
     if output.suffix.lower() == ".exr":
         with progress("rendering") as shown:
             return render_gbuffer_file(

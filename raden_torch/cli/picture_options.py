@@ -97,6 +97,19 @@ class ExrOptions:
 class GBufferOptions(ExrOptions):
     """How an EXR is read as a G-buffer, and lit."""
 
+    preset: str | None = None
+    """the renderer that wrote the EXR: arnold, blender, karma, mitsuba, unreal or vray; the options
+    beside it come first"""
+    space: Literal["camera", "world", "tangent"] | None = None
+    """the space of the normals; camera unless stated. With world, --light and --camera are in the
+    renderer's world, too"""
+    position_space: Literal["camera", "world"] | None = None
+    """the space of the positions; that of the normals unless stated"""
+    world: Literal["y-up", "z-up", "unreal"] | None = None
+    """which way the renderer's world points; y-up unless stated"""
+    camera_file: Path | None = None
+    """JSON with camera_to_world, or position and target, and fov_deg; the EXR's own header unless
+    given"""
     channels: Annotated[Pairs, Parameter(name="--channel")] = ()
     """channels of the EXR, as normal=N, depth=Z or material=IndexMA; may be repeated"""
     smooth_px: float = 0.0
@@ -122,6 +135,11 @@ class GBufferOptions(ExrOptions):
             raise InputError("--material: expected with --gbuffer, whose pixels it describes")
         if self.shadows:
             raise InputError("--shadows: expected with --gbuffer, whose surfaces cast them")
+        frame = ("preset", "space", "position_space", "world", "camera_file")
+        given = [name for name in frame if getattr(self, name) is not None]
+        if given:
+            option = given[0].replace("_", "-")
+            raise InputError(f"--{option}: expected with --gbuffer, whose vectors it describes")
 
     @property
     def shadowed(self) -> Shadowed | None:
@@ -134,8 +152,14 @@ class GBufferOptions(ExrOptions):
 
     @property
     def _fields(self) -> dict[str, Any]:
+        from raden_torch.brdf.files.renderer_presets import preset
+
+        frame = ("depth", "space", "position_space", "world", "camera_file")
+        given = {k: v for k in frame if (v := getattr(self, k)) is not None}
+        known = {} if self.preset is None else preset(self.preset)
         channels = dict(self.channels)
-        return {**super()._fields, "channels": channels, "smooth_px": self.smooth_px}
+        own = {**super()._fields, "channels": channels, "smooth_px": self.smooth_px}
+        return {**own, **known, **given}
 
 
 @Parameter(name="*", group=_SCENES)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from raden_torch.errors import InputError
@@ -64,6 +65,8 @@ class Part:
         compression: its name in lower case.
         pixel_aspect: width over height of a pixel.
         chromaticities: x, y of red, green, blue and white; None where the file does not say.
+        world_to_camera, world_to_ndc: the camera's matrices, 16 numbers for row vectors; None where
+            the file does not say.
     """
 
     name: str
@@ -77,6 +80,8 @@ class Part:
     compression: str
     pixel_aspect: float
     chromaticities: tuple[float, ...] | None
+    world_to_camera: tuple[float, ...] | None = None
+    world_to_ndc: tuple[float, ...] | None = None
 
 
 def damaged(path: str | os.PathLike[str], reason: str) -> InputError:
@@ -134,7 +139,18 @@ def parts_of(path: str | os.PathLike[str], file: Any) -> Iterator[Part]:
             spec.get_string_attribute("compression") or "unknown",
             spec.get_float_attribute("PixelAspectRatio", 1.0),
             None if place is None else tuple(float(v) for v in place),
+            _matrix(spec, "worldToCamera"),
+            _matrix(spec, "worldToNDC"),
         )
+
+
+def _matrix(spec: Any, name: str) -> tuple[float, ...] | None:
+    """The 16 numbers of an attribute, None where there are none that are finite."""
+    held = spec.getattribute(name)
+    if not isinstance(held, tuple) or len(held) != 16:
+        return None
+    numbers = tuple(float(value) for value in held)
+    return numbers if all(map(isfinite, numbers)) else None
 
 
 def check_part(path: str | os.PathLike[str], part: Part, at_once: bool) -> None:

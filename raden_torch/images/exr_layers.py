@@ -11,14 +11,17 @@ from raden_torch.images.exr_file import ExrFile, Key
 NAMES: dict[str, tuple[str, ...]] = {
     "normal": (
         *("n", "normal", "normals", "ns", "nn", "normalworld", "normal_world", "worldnormal"),
-        *("world_normal", "sh_normal", "shading_normal", "denoising normal"),
+        *("world_normal", "sh_normal", "shading_normal", "denoising normal", "vraynormals"),
+        *("finalimagemovierenderqueue_worldnormal", "finalimageworldnormal"),
     ),
     "position": ("p", "position", "positions", "pos", "worldposition", "world_position", "pworld"),
-    "depth": ("z", "depth", "zdepth", "depth_z"),
+    "depth": ("z", "depth", "zdepth", "depth_z", "finalimagemovierenderqueue_worlddepth"),
     "mask": ("mask", "a", "alpha"),
     "material": (
         *("material", "materials", "indexma", "material_index", "materialindex", "material_id"),
     ),
+    "surface": ("ng", "geometric_normal", "geometry_normal", "surface_normal"),
+    "tangent": ("t", "tangent", "tangents", "dpdu"),
     "colour": ("", "rgba", "rgb", "beauty", "combined", "colour", "color"),
 }
 """The layer names that are known, compared in lower case, the first one first. A name found

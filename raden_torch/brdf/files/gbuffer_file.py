@@ -3,10 +3,9 @@
 `images/exr_file.py` reads rows of channels, `images/exr_layers.py` knows the names of layers, and
 `gbuffer_reading.py` what else has to be said; here they become a `GBuffer`.
 
-Whatever the file holds, the G-buffer is in one frame: x right, y up, z to the viewer. Normals and
-positions are taken as they are; a renderer that writes world-space vectors must have looked along
-−z, or the lights are in its world's frame. Positions and normals that come from depth have the
-camera at the origin and the scene at z < 0.
+Whatever the file holds, the G-buffer is in one frame: the camera's, x right, y up, z to the viewer,
+with the camera at the origin and the scene at z < 0 where positions come from depth; or the world's
+with y up, where vectors are declared to be in world space (`gbuffer_frame.py`).
 """
 
 from __future__ import annotations
@@ -14,17 +13,17 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import replace
-from math import lcm
 from typing import Any, cast
 
 import torch
 from torch import Tensor
 
+from raden_torch.brdf.files.bands import BYTES_GATHERED, bands_of
 from raden_torch.brdf.files.depth_check import warn_of_other_kind
 from raden_torch.brdf.files.exr_tensors import evidence, stacked
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.material_map import MaterialMap, nothing_to_choose
-from raden_torch.brdf.files.normal_check import warn_of_normals
+from raden_torch.brdf.files.normal_check import warn_of_facing, warn_of_normals
 from raden_torch.brdf.files.normal_coding import decoded, has_negative
 from raden_torch.brdf.files.pinhole import Y_UP, pinhole_matrix, rays
 from raden_torch.brdf.materials.palette import Palette
@@ -39,13 +38,8 @@ from raden_torch.brdf.shading.depth import (
 )
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.errors import InputError
-from raden_torch.images.exr import WRITTEN_LINES
 from raden_torch.images.exr_file import ExrFile, Key
 from raden_torch.images.exr_layers import Layers
-
-BYTES_A_PIXEL, BYTES_A_CHANNEL, BYTES_GATHERED = 240, 10, 120
-"""The most that reading, shading and writing some rows takes: that of the eager form. With the
-fused kernel it is a third. What a palette gathers comes on top, once for each of its weights."""
 
 
 def read_gbuffer(
@@ -111,18 +105,22 @@ class GBufferFile:
         self.size = self._file.size
         self._material = self._materials(palette)
         gathered = 0 if self._material is None else max(1, len(self._material.keys))
-        self.bands = _bands(self._file, memory, BYTES_GATHERED * gathered)
+        self.bands = bands_of(self._file, memory, BYTES_GATHERED * gathered)
         layers = Layers.of(self._file, reading.channels)
         self._normal, self._coded = self._normals(layers)
         self._depth, self._mask = layers.scalar("depth"), layers.scalar("mask")
         self._position = None if self._normal is None else layers.vector("position")
+        is_tangent = reading.space == "tangent"
+        self._surface = layers.vector("surface") if is_tangent else None
+        self._tangent = layers.vector("tangent") if is_tangent else None
+        self._frame = reading.frame(path, self._file.first)
         self._matrix = self._pinhole()
         self._check(layers)
 
     def rows(self, top: int, bottom: int) -> GBuffer:
         """The rows from `top` to before `bottom`, a batch of 1 in float32."""
-        keys = [*(self._normal or ()), *(self._position or ())]
-        keys += [*(self._depth or ()), *(self._mask or ())]
+        maps = (self._normal, self._position, self._surface, self._tangent)
+        keys = [key for each in (*maps, self._depth, self._mask) for key in each or ()]
         if self._material is not None and self._reading.material is None:
             keys += self._material.keys
         self._file.read(keys, top, bottom)
@@ -168,8 +166,11 @@ class GBufferFile:
 
     def _pinhole(self) -> Tensor | None:
         said, aspect = self._reading, self._file.first.pixel_aspect
+        intrinsics, fov_deg = said.intrinsics, said.fov_deg
+        if intrinsics is None and fov_deg is None and (pose := self._frame.pose) is not None:
+            intrinsics, fov_deg = pose.intrinsics, pose.fov_deg
         try:
-            return pinhole_matrix(said.intrinsics, said.fov_deg, self.size, aspect)
+            return pinhole_matrix(intrinsics, fov_deg, self.size, aspect)
         except InputError as error:
             raise InputError(f"{self.path}: {error}") from None
 
@@ -184,6 +185,8 @@ class GBufferFile:
                 if self._depth is not None and pinhole:
                     raise at_origin
                 raise layers.missing("camera: expected positions with it (position=LAYER)")
+            if self._frame.is_world:
+                self._check_viewer()
             return
         if self._depth is None:
             raise layers.missing("expected normals or a depth")
@@ -200,47 +203,82 @@ class GBufferFile:
                 "on the whole image at once: allow more memory, or add normals to the image"
             )
 
+    def _check_viewer(self) -> None:
+        """Raise InputError where vectors are in world space and the viewer is not known."""
+        pose, said = self._frame.pose, self._reading
+        stands = said.camera is not None or pose is not None
+        looks = pose is not None and pose.axes is not None
+        if said.view is None and not looks and not (stands and self._position is not None):
+            raise InputError(
+                f"{self.path}: camera: expected where it is, with vectors in world space; give "
+                "camera (--camera x,y,z) with a layer of positions, or a camera file "
+                "(--camera-file), or view"
+            )
+
     def _read(self, keys: tuple[Key, ...] | None, top: int, bottom: int) -> Tensor | None:
         return None if keys is None else stacked(self._file, keys, top, bottom)
 
     def _from_normals(self, depth: Tensor | None, top: int, bottom: int) -> GBuffer:
+        frame, said = self._frame, self._reading
         stored = decoded(cast(Tensor, self._read(self._normal, top, bottom)), self._coded)
-        normal = self._axes.of_map(stored)
-        position = self._read(self._position, top, bottom)
-        camera, view = self._reading.camera, self._reading.view
-        there = (normal != 0).any(dim=1, keepdim=True)
+        around = (self._read(keys, top, bottom) for keys in (self._surface, self._tangent))
+        normal = frame.of_normals(self._axes.of_map(stored), *around)
+        there = (stored != 0).any(dim=1, keepdim=True)
         if depth is not None:
             there = there & is_depth(depth)
         mask = self._masked(there, top, bottom)
-        is_in_the_middle = top <= self.size[0] // 2 < bottom
-        if is_in_the_middle and self._reading.camera is None and self._reading.view is None:
-            warn_of_normals(self.path, stored * (mask > 0), self._axes, is_coded=self._coded)
-        through = None if self._matrix is None else rays(self._matrix, top, bottom, self.size[1])
+        position = self._read(self._position, top, bottom)
+        position = None if position is None else frame.of_positions(position)
+        through = None
+        if self._matrix is not None:
+            through = frame.of_camera(rays(self._matrix, top, bottom, self.size[1]))
+        camera = None if said.camera is None else frame.of_triple("camera", said.camera)
         if position is None and depth is not None and through is not None:
             position = self._positions(depth, through)
-            camera = (0.0, 0.0, 0.0) if view is None else None
+            camera = frame.camera if said.view is None else None
+        elif position is not None and camera is None and said.view is None and frame.is_world:
+            camera = frame.camera
         if camera is not None:
-            return GBuffer(normal, position=position, camera=camera, mask=mask)
+            gbuffer = GBuffer(normal, position=position, camera=camera, mask=mask)
+        else:
+            view = self._view(through, top, bottom)
+            gbuffer = GBuffer(normal, view=view, position=position, mask=mask)
+        if top <= self.size[0] // 2 < bottom:
+            if frame.is_world:
+                warn_of_facing(self.path, gbuffer)
+            elif said.camera is None and said.view is None and said.space == "camera":
+                warn_of_normals(self.path, stored * (mask > 0), self._axes, is_coded=self._coded)
+        return gbuffer
+
+    def _view(self, through: Tensor | None, top: int, bottom: int) -> Tensor:
+        """Towards the viewer, as it was said, else along the rays, else along the camera's axis."""
+        view = self._reading.view
         if view is None:
-            view = (0.0, 0.0, 1.0) if through is None else -through
-        elif isinstance(view, Tensor) and view.ndim == 4 and view.shape[2] == self.size[0]:
-            view = view[:, :, top:bottom]
-        return GBuffer(normal, view=_as_view(view), position=position, mask=mask)
+            axis = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
+            return self._frame.of_camera(axis) if through is None else -through
+        if isinstance(view, Tensor) and view.ndim == 4:
+            if view.shape[2] == self.size[0]:
+                view = view[:, :, top:bottom]
+            return self._frame.of_viewer(_as_view(view))
+        return _as_view(self._frame.of_triple("view", view))
 
     def _from_depth(self, depth: Tensor) -> GBuffer:
         matrix, (height, width) = cast(Tensor, self._matrix), self.size
         through = rays(matrix, 0, height, width)
         there = is_depth(depth)
         self._warn_of_depth(depth, there, through)
-        position = self._positions(depth, through)
+        position = self._in_camera(depth, through)
         # a neutral depth of 1 where there is none
         made = GBuffer.from_depth(grown(-position[:, 2:], there, self._reading.smooth_px), matrix)
         y_up = depth.new_tensor(Y_UP).view(3, 1, 1)
         normal = torch.where(there, made.normal * y_up, torch.zeros_like(made.normal))
         mask = self._masked(there, 0, height)
+        frame = self._frame
+        normal, position = frame.of_camera(normal), self._positions(depth, frame.of_camera(through))
         if self._reading.view is not None:
-            return GBuffer(normal, view=_as_view(self._reading.view), position=position, mask=mask)
-        return GBuffer(normal, position=position, camera=(0.0, 0.0, 0.0), mask=mask)
+            view = self._view(None, 0, height)
+            return GBuffer(normal, view=view, position=position, mask=mask)
+        return GBuffer(normal, position=position, camera=frame.camera, mask=mask)
 
     def _warn_of_depth(self, depth: Tensor, there: Tensor, through: Tensor) -> None:
         if not bool(there.any()) and bool((depth < 0).any()):
@@ -254,7 +292,12 @@ class GBufferFile:
             warn_of_other_kind(self.path, depth, there, through)
 
     def _positions(self, depth: Tensor, through: Tensor) -> Tensor:
-        """On the rays; where there is no depth, at 1 along the axis."""
+        """In the frame, on its rays; where there is no depth, at 1 along the axis."""
+        origin = depth.new_tensor(self._frame.camera or (0.0, 0.0, 0.0)).view(3, 1, 1)
+        return self._in_camera(depth, through) + origin
+
+    def _in_camera(self, depth: Tensor, through: Tensor) -> Tensor:
+        """The same from the camera's place."""
         planar = to_planar(depth, self._kind, through)
         return torch.where(is_depth(depth), planar, torch.ones_like(depth)) * through
 
@@ -268,30 +311,6 @@ class GBufferFile:
 def has_pixels(gbuffer: GBuffer) -> bool:
     """Whether some pixel is not masked out."""
     return gbuffer.mask is None or bool((gbuffer.mask > 0).any())
-
-
-def _bands(file: ExrFile, memory: int | None, more: int) -> list[tuple[int, int]]:
-    """Args: more: bytes a pixel than a model alone takes."""
-    height, width = file.size
-    a_row = width * (BYTES_A_PIXEL + more + BYTES_A_CHANNEL * len(file.keys))
-    if memory is None:
-        if not file.may_be_whole:
-            raise InputError(
-                f"{file.path}: expected a frame that can be read at once, got {width} x {height} "
-                "pixels; `raden render` shades it in bands if it writes an .exr"
-            )
-        return [(0, height)]
-    rows = min(memory // a_row, file.most_rows)
-    if rows >= height:
-        return [(0, height)]
-    step = lcm(WRITTEN_LINES, file.chunk_rows)
-    rows = rows // step * step
-    if rows == 0:
-        raise InputError(
-            f"{file.path}: memory: expected at least {min(step, height) * a_row} bytes for "
-            f"{min(step, height)} rows, the fewest that can be read at once, got {memory}"
-        )
-    return [(top, min(top + rows, height)) for top in range(0, height, rows)]
 
 
 def _as_view(view: Tensor | Sequence[float]) -> Tensor:

@@ -25,6 +25,8 @@ from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
 from raden_torch.brdf.files.normal_axes import NormalAxes
+from raden_torch.brdf.shading.gbuffer import GBuffer
+from raden_torch.geometry import dot, normalised
 
 AWAY = 0.1
 """The share of normals that may face away; of those with z below −`AWAY`. A wide lens sees some."""
@@ -190,6 +192,26 @@ def _least_curl(
         if is_other and clearer > max(CLEARER, found[1]):
             found = (arrangements[least], clearer)
     return found
+
+
+def warn_of_facing(path: object, gbuffer: GBuffer) -> None:
+    """Warn where normals in world space face away from their camera."""
+    n, v = (
+        _windows(m.expand_as(gbuffer.normal))
+        for m in (gbuffer.normal, gbuffer.view_map(gbuffer.normal))
+    )
+    there = (n != 0).any(dim=1)
+    if gbuffer.mask is not None:
+        there = there & (_windows(gbuffer.mask.expand_as(gbuffer.normal))[:, 0] > 0)
+    if int(there.sum()) < LEAST_CELLS:
+        return
+    away = float((dot(normalised(n), normalised(v))[:, 0][there] < -AWAY).float().mean())
+    if away > AWAY:
+        warnings.warn(
+            f"{path}: {away:.0%} of the normals face away from the camera; is it another camera, "
+            "another world (--world) or space (--space) that they are in?",
+            stacklevel=2,
+        )
 
 
 def _curls(n: Tensor, there: Tensor, step: float) -> Iterator[list[float]]:

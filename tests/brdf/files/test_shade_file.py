@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import raden_torch as rt
-from raden_torch.brdf.files import gbuffer_file
+from raden_torch.brdf.files import bands
 from raden_torch.brdf.files.display import Display
 from raden_torch.brdf.files.exr_tensors import read_colour, write_image
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
@@ -78,7 +78,7 @@ def model() -> rt.RadenBrdf:
 
 def memory_for(rows: int, channels: int) -> int:
     """Bytes with which so many rows of these images are one band."""
-    each = gbuffer_file.BYTES_A_PIXEL + gbuffer_file.BYTES_A_CHANNEL * channels
+    each = bands.BYTES_A_PIXEL + bands.BYTES_A_CHANNEL * channels
     return rows * W * each
 
 
