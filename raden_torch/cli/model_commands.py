@@ -171,7 +171,7 @@ def export(
         Path,
         output(
             "the file to write: .onnx; .glsl or .wgsl, with the table beside it; .html, a viewer; "
-            "or .gltf, the nearest material of that format"
+            "or .gltf or .osl, the nearest material that these can say"
         ),
     ],
     compare: Annotated[
@@ -183,7 +183,7 @@ def export(
     from raden_torch.export.export import export_onnx
     from raden_torch.export.shading_language import LANGUAGES, export_shader
 
-    check_output(output, (".onnx", *LANGUAGES, ".html", ".gltf"), inputs=(model, compare))
+    check_output(output, (".onnx", *LANGUAGES, ".html", ".gltf", ".osl"), inputs=(model, compare))
     if compare is not None and output.suffix != ".html":
         raise InputError(f"--compare: expected with an .html file, got {output.suffix}")
     if output.suffix == ".html":
@@ -201,6 +201,14 @@ def export(
         with working("fitting a glTF material"):
             nearest = export_gltf(load_model(model), output)
         print(f"{nearest}\nwrote {output}")
+        return
+    if output.suffix == ".osl":
+        from raden_torch.export.osl_file import export_osl
+
+        _refuse_onnx_options(how, output.suffix)
+        with working("fitting closures"):
+            closures = export_osl(load_brdf(model, ".osl file"), output)
+        print(f"{closures}\nwrote {output}")
         return
     if output.suffix in LANGUAGES:
         _refuse_onnx_options(how, output.suffix)
