@@ -106,12 +106,12 @@ _COMMANDS = (
         "raden plot shell.csv -o graphs.png --figure 5 --figure 9",
     ),
     (
-        "model_commands:export",
+        "export_commands:export",
         "Write a model as an ONNX shader for other programs, checked in ONNX Runtime.",
         "raden export shell.safetensors -o shell.onnx --profile scene",
     ),
     (
-        "model_commands:verify",
+        "export_commands:verify",
         "Check an exported shader in every runtime on this machine.",
         "raden verify shell.onnx",
     ),

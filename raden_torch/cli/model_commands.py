@@ -1,15 +1,15 @@
-"""Models: fit, export, verify, bench."""
+"""Models: fit, bench."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from raden_torch.cli.option_types import ModelFile, Names, Triple, argument, files, output
+from raden_torch.cli.option_types import Names, Triple, files, output
 from raden_torch.cli.status import working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
@@ -142,124 +142,6 @@ def _fitted(
         )
     except InputError as error:  # of which of several?
         raise error if is_one else InputError(f"{path}: {error}") from None
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class ExportOptions:
-    """Which shader is made of a model."""
-
-    profile: str = "gbuffer"
-    """gbuffer (normal, light, view) or scene (with camera and lights)"""
-    quantity: str = "radiance"
-    """radiance, or brdf (f_r in 1/sr, gbuffer only)"""
-    form: Literal["runtime", "fit"] = "runtime"
-    """runtime, or fit (the paper's formula and table: slower, editable)"""
-    material: Literal["index", "weights"] = "index"
-    """what chooses of a palette: an index, or a weight of each material, a pixel"""
-    opset: int = 18
-    """version of the ONNX operator set"""
-    fixed: bool = False
-    """make the parameters constants: faster, but for this shell alone"""
-
-
-def export(
-    model: ModelFile,
-    /,
-    *,
-    output: Annotated[
-        Path,
-        output(
-            "the file to write: .onnx; .glsl or .wgsl, with the table beside it; .html, a viewer; "
-            "or .gltf or .osl, the nearest material that these can say"
-        ),
-    ],
-    compare: Annotated[
-        ModelFile | None, Parameter(help="a second model that the viewer shows beside the first")
-    ] = None,
-    how: ExportOptions = ExportOptions(),
-) -> None:
-    from raden_torch.brdf.files.model_file import load_brdf, load_model
-    from raden_torch.export.export import export_onnx
-    from raden_torch.export.shading_language import LANGUAGES, export_shader
-
-    check_output(output, (".onnx", *LANGUAGES, ".html", ".gltf", ".osl"), inputs=(model, compare))
-    if compare is not None and output.suffix != ".html":
-        raise InputError(f"--compare: expected with an .html file, got {output.suffix}")
-    if output.suffix == ".html":
-        from raden_torch.export.viewer_file import export_viewer
-
-        _refuse_onnx_options(how, output.suffix)
-        beside = None if compare is None else load_brdf(compare, "viewer")
-        size = export_viewer(load_brdf(model, "viewer"), output, compare=beside)
-        print(f"a viewer of {size} bytes, which opens from disk\nwrote {output}")
-        return
-    if output.suffix == ".gltf":
-        from raden_torch.export.gltf_file import export_gltf
-
-        _refuse_onnx_options(how, output.suffix)
-        with working("fitting a glTF material"):
-            nearest = export_gltf(load_model(model), output)
-        print(f"{nearest}\nwrote {output}")
-        return
-    if output.suffix == ".osl":
-        from raden_torch.export.osl_file import export_osl
-
-        _refuse_onnx_options(how, output.suffix)
-        with working("fitting closures"):
-            closures = export_osl(load_brdf(model, ".osl file"), output)
-        print(f"{closures}\nwrote {output}")
-        return
-    if output.suffix in LANGUAGES:
-        _refuse_onnx_options(how, output.suffix)
-        written = export_shader(load_brdf(model, f"{output.suffix} file"), output)
-        print(f"{written}\nwrote {', '.join(str(file) for file in written.files)}")
-        return
-    with working("exporting"):
-        report = export_onnx(
-            load_model(model),
-            output,
-            profile=how.profile,
-            output=how.quantity,
-            form=how.form,
-            material=how.material,
-            opset=how.opset,
-            fixed=how.fixed,
-        )
-    print(f"{report}\nwrote {output}")
-
-
-def _refuse_onnx_options(how: ExportOptions, suffix: str) -> None:
-    for field in fields(how):
-        if getattr(how, field.name) != field.default:
-            raise InputError(f"--{field.name}: expected with an .onnx file, got {suffix}")
-
-
-def verify(
-    file: Annotated[Path, argument("a file that `raden export` wrote")],
-    /,
-    *,
-    node_modules: Annotated[
-        Path,
-        Parameter(help="folder with onnxruntime-node, or onnxruntime-web and playwright-core"),
-    ] = Path("node_modules"),
-    python: Annotated[
-        tuple[Path, ...],
-        Parameter(help="Python of another environment with onnxruntime; may be repeated"),
-    ] = (),
-) -> None:
-    from raden_torch.export.export import verify_onnx
-    from raden_torch.export.shading_language import LANGUAGES
-    from raden_torch.export.shading_language_check import verify_shader
-
-    if file.suffix in LANGUAGES:
-        with working(f"verifying {file.name}"):
-            check = verify_shader(file, node_modules=node_modules)
-        print(check)
-        return
-    with working(f"verifying {file.name}"):
-        report = verify_onnx(file, node_modules=node_modules, pythons=python)
-    print(report)
 
 
 @Parameter(name="*")

@@ -1,0 +1,162 @@
+"""A model for other programs: export, verify."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from raden_torch.cli.option_types import ModelFile, argument, output
+from raden_torch.cli.status import working
+from raden_torch.errors import InputError
+from raden_torch.files import check_output
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ExportOptions:
+    """Which shader is made of a model."""
+
+    profile: str = "gbuffer"
+    """gbuffer (normal, light, view) or scene (with camera and lights)"""
+    quantity: str = "radiance"
+    """radiance, or brdf (f_r in 1/sr, gbuffer only)"""
+    form: Literal["runtime", "fit"] = "runtime"
+    """runtime, or fit (the paper's formula and table: slower, editable)"""
+    material: Literal["index", "weights"] = "index"
+    """what chooses of a palette: an index, or a weight of each material, a pixel"""
+    opset: int = 18
+    """version of the ONNX operator set"""
+    fixed: bool = False
+    """make the parameters constants: faster, but for this shell alone"""
+
+
+def export(
+    model: ModelFile,
+    /,
+    *,
+    output: Annotated[
+        Path,
+        output(
+            "the file to write: .onnx; .glsl or .wgsl, with the table beside it; .html, a viewer; "
+            "or .gltf or .osl, the nearest material that these can say"
+        ),
+    ],
+    compare: Annotated[
+        ModelFile | None, Parameter(help="a second model that the viewer shows beside the first")
+    ] = None,
+    how: ExportOptions = ExportOptions(),
+) -> None:
+    check_output(output, tuple(_WRITERS), inputs=(model, compare))
+    if compare is not None and output.suffix != ".html":
+        raise InputError(f"--compare: expected with an .html file, got {output.suffix}")
+    if output.suffix != ".onnx":
+        _refuse(how, "an .onnx file", output.suffix)
+    with working("exporting"):
+        said = _WRITERS[output.suffix](_Export(model, output, compare, how))
+    print(said)
+
+
+def _refuse(options: ExportOptions, wanted: str, suffix: str) -> None:
+    for field in fields(options):
+        if getattr(options, field.name) != field.default:
+            raise InputError(f"--{field.name}: expected with {wanted}, got {suffix}")
+
+
+@dataclass(frozen=True)
+class _Export:
+    """What is exported, and where to."""
+
+    model: Path
+    output: Path
+    compare: Path | None
+    how: ExportOptions
+
+
+def _onnx(what: _Export) -> str:
+    from raden_torch.brdf.files.model_file import load_model
+    from raden_torch.export.export import export_onnx
+
+    how = what.how
+    report = export_onnx(
+        load_model(what.model),
+        what.output,
+        profile=how.profile,
+        output=how.quantity,
+        form=how.form,
+        material=how.material,
+        opset=how.opset,
+        fixed=how.fixed,
+    )
+    return f"{report}\nwrote {what.output}"
+
+
+def _shader(what: _Export) -> str:
+    from raden_torch.brdf.files.model_file import load_brdf
+    from raden_torch.export.shading_language import export_shader
+
+    written = export_shader(load_brdf(what.model, f"{what.output.suffix} file"), what.output)
+    return f"{written}\nwrote {', '.join(str(file) for file in written.files)}"
+
+
+def _viewer(what: _Export) -> str:
+    from raden_torch.brdf.files.model_file import load_brdf
+    from raden_torch.export.viewer_file import export_viewer
+
+    beside = None if what.compare is None else load_brdf(what.compare, "viewer")
+    size = export_viewer(load_brdf(what.model, "viewer"), what.output, compare=beside)
+    return f"a viewer of {size} bytes, which opens from disk\nwrote {what.output}"
+
+
+def _gltf(what: _Export) -> str:
+    from raden_torch.brdf.files.model_file import load_brdf
+    from raden_torch.export.gltf_file import export_gltf
+
+    return f"{export_gltf(load_brdf(what.model, '.gltf file'), what.output)}\nwrote {what.output}"
+
+
+def _osl(what: _Export) -> str:
+    from raden_torch.brdf.files.model_file import load_brdf
+    from raden_torch.export.osl_file import export_osl
+
+    return f"{export_osl(load_brdf(what.model, '.osl file'), what.output)}\nwrote {what.output}"
+
+
+_WRITERS: dict[str, Callable[[_Export], str]] = {
+    ".onnx": _onnx,
+    ".glsl": _shader,
+    ".wgsl": _shader,
+    ".html": _viewer,
+    ".gltf": _gltf,
+    ".osl": _osl,
+}
+
+
+def verify(
+    file: Annotated[Path, argument("a file that `raden export` wrote")],
+    /,
+    *,
+    node_modules: Annotated[
+        Path,
+        Parameter(help="folder with onnxruntime-node, or onnxruntime-web and playwright-core"),
+    ] = Path("node_modules"),
+    python: Annotated[
+        tuple[Path, ...],
+        Parameter(help="Python of another environment with onnxruntime; may be repeated"),
+    ] = (),
+) -> None:
+    from raden_torch.export.export import verify_onnx
+    from raden_torch.export.shading_language import LANGUAGES
+    from raden_torch.export.shading_language_check import verify_shader
+
+    if file.suffix in LANGUAGES:
+        with working(f"verifying {file.name}"):
+            check = verify_shader(file, node_modules=node_modules)
+        print(check)
+        return
+    with working(f"verifying {file.name}"):
+        report = verify_onnx(file, node_modules=node_modules, pythons=python)
+    print(report)
