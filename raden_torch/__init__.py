@@ -21,7 +21,7 @@ _HOMES = {
     "SpotLight": "raden_torch.brdf.shading.lights",
     "export_onnx": "raden_torch.export.export",
     "fit": "raden_torch.brdf.fitting.fit",
-    "load_measurement": "raden_torch.capture.importers",
+    "load_measurement": "raden_torch.capture.exchange",
     "load_model": "raden_torch.brdf.files.model_file",
     "raden_angles": "raden_torch.geometry",
     "save_model": "raden_torch.brdf.files.model_file",
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from raden_torch.brdf.shading.gbuffer import GBuffer
     from raden_torch.brdf.shading.lights import DirectionalLight, PointLight, SpotLight
     from raden_torch.brdf.shading.shade import shade
-    from raden_torch.capture.importers import load_measurement
+    from raden_torch.capture.exchange import load_measurement
     from raden_torch.export.export import export_onnx
     from raden_torch.geometry import raden_angles, vectors_from_angles
     from raden_torch.measurement import BrdfMeasurement

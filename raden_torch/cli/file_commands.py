@@ -153,6 +153,6 @@ def load_either(path: Path) -> BrdfMeasurement | RadenBrdf:
         return load_brdf(path)
     if name != "a measurement":
         raise InputError(f"{path}: expected a measurement or a model, got {name}")
-    from raden_torch.capture.importers import load_measurement
+    from raden_torch.capture.exchange import load_measurement
 
     return load_measurement(path)

@@ -74,7 +74,7 @@ def fit(
     ] = (),
     how: FitOptions = FitOptions(),
 ) -> None:
-    from raden_torch.capture.importers import load_measurement
+    from raden_torch.capture.exchange import load_measurement
 
     check_output(output, (".safetensors",), inputs=(*measurements, how.validation))
     members = _member_names(measurements, names, how)
@@ -175,7 +175,7 @@ class BenchOptions:
 
 def bench(*, what: BenchOptions = BenchOptions()) -> None:
     from raden_torch.bench import OUTPUTS, run_bench
-    from raden_torch.capture.importers import load_measurement
+    from raden_torch.capture.exchange import load_measurement
 
     if what.out.is_dir():
         results = (what.out / name for name in OUTPUTS)

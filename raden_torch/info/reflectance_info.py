@@ -98,12 +98,12 @@ def describe_model(model: RadenBrdf) -> str:
 
 def recognises_measurement(head: bytes) -> bool:
     """One of the formats of `load_measurement`."""
-    from raden_torch.capture.importers import recognises
+    from raden_torch.capture.exchange import recognises
 
     return recognises(head)
 
 
 def describe_measurement_file(path: Path) -> str:
-    from raden_torch.capture.importers import load_measurement
+    from raden_torch.capture.exchange import load_measurement
 
     return describe_measurement(load_measurement(path))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.exchange import load_measurement
 from raden_torch.capture.photo.capture_brdf import CapturedBrdf
 from raden_torch.reflectance.regions import regions
 

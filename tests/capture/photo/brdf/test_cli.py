@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pytest
 
-from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.exchange import load_measurement
 from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
 from raden_torch.capture.photo.brdf.chart_white import chart_white
 

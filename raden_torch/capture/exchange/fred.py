@@ -27,17 +27,25 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.importers.directions import (
+from raden_torch.capture.exchange.directions import (
     NOMINAL_NM,
     measurement_of,
     unit_vectors,
 )
-from raden_torch.capture.importers.text import first_lines, number, read_lines
+from raden_torch.capture.exchange.polar import polar_of
+from raden_torch.capture.exchange.text import (
+    check_values,
+    first_lines,
+    number,
+    read_lines,
+    write_lines,
+)
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import FACTOR_PER_SR
@@ -46,6 +54,7 @@ from raden_torch.measurement.text_file import shown
 _FORMAT = re.compile(r"format\s+angles=(deg|sin)\s+bsdf=(value|log)\s+scale=(\S+)", re.IGNORECASE)
 _COLUMNS = ("polar angle", "azimuth", "bsdf")
 _LARGEST_DEG = 360.0
+_DIGITS = 8  # decimals of a degree that are written
 
 
 def recognises(head: str) -> bool:
@@ -149,3 +158,32 @@ def _from_cosines(alpha_beta: Floats) -> Floats:
     """`[3, M]` directions of α = sin φ sin θ and β = cos φ sin θ, `[2, M]`."""
     alpha, beta = alpha_beta
     return np.stack([beta, alpha, np.sqrt(np.maximum(1 - alpha**2 - beta**2, 0))])
+
+
+def write(path: Path, measurement: BrdfMeasurement) -> None:
+    """Write readings of one channel, in degrees, a section a specular direction.
+
+    Args:
+        measurement: valid readings ≥ 0, as `by_directions` gives them.
+
+    Raises:
+        InputError: more values than a text file can hold.
+    """
+    check_values(path, (len(measurement), 3), 1)
+    write_lines(path, _written(measurement))
+
+
+def _written(measurement: BrdfMeasurement) -> Iterator[str]:
+    polar = polar_of(measurement.angles_deg)
+    turned = measurement.azimuth_deg
+    specular = np.zeros(len(measurement)) if turned is None else turned % 360
+    scatter = (specular + polar.azimuth) % 360
+    columns = np.stack([polar.incidence, specular, polar.scatter, scatter], axis=1)
+    rows = np.column_stack([np.round(columns, _DIGITS), measurement.values / FACTOR_PER_SR])
+    yield from ("type bsdf_data", "format angles=deg bsdf=value scale=1")
+    section: tuple[float, ...] = ()
+    for *angles, value in rows[np.lexsort(rows.T[3::-1])].tolist():
+        if tuple(angles[:2]) != section:
+            section = tuple(angles[:2])
+            yield f"{angles[0]:.12g}\t{angles[1]:.12g}"
+        yield f"{angles[2]:.12g}\t{angles[3]:.12g}\t{value:.9g}"

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.exchange import load_measurement
 from raden_torch.errors import InputError
 
 FRED = """type bsdf_data

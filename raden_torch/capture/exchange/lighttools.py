@@ -15,7 +15,7 @@ value/cos θ; see `rt300s_geometry`.
 
 **What it does not hold.** BSDF in 1/sr, despite its name: there is no normalisation. Wavelength,
 colour, stage rotation, spread. A block of zeros is one that was not measured. LightTools' own
-BSDF files (keywords AOI, POI, Side) are another format and are not read.
+BSDF files (keywords AOI, POI, Side) are another format (`lighttools_bsdf`).
 
 Source: the export beside the workbook of the same readings in ua-loft/bsdf-tools.
 """
@@ -26,8 +26,8 @@ import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from raden_torch.capture.importers.rt300s_geometry import RtTable, measurement_of_tables
-from raden_torch.capture.importers.text import first_lines, number, read_lines
+from raden_torch.capture.exchange.rt300s_geometry import RtTable, measurement_of_tables
+from raden_torch.capture.exchange.text import first_lines, number, read_lines
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.text_file import shown

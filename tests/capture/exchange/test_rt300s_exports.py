@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.exchange import load_measurement
 from raden_torch.errors import InputError
 
 LIGHTTOOLS = """Name / Comment :\ta card\t
@@ -164,7 +164,7 @@ def test_a_lighttools_file_cut_in_its_header_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("v1.0", "v8.0", "line 1: expected 'OPTIS - Anisotropic BSDF surface file v1.0', got "),
+        ("v1.0", "v2.0", "line 1: expected 'OPTIS - .* file v1.0', or v7.0 or v8.0, got "),
         ("Sample 30", "Sample A", "line 2, column 2: expected a number, got 'A'"),
         ("Sample 30", "Sample 95", "line 2: incidence: expected 0…90 degrees, got 95"),
         ("SampleID", "Id", "line 2: expected 'SampleID: Sample <incidence>', got "),

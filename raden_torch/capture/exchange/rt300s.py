@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.importers.rt300s_geometry import LASER_NM, rt300s_measurement
+from raden_torch.capture.exchange.rt300s_geometry import LASER_NM, rt300s_measurement
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import WHITE_LEVEL, XYZ

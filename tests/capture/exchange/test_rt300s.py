@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from raden_torch.capture.importers import load_measurement, rt300s
+from raden_torch.capture.exchange import load_measurement, rt300s
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.exchange import load_measurement
 from raden_torch.errors import InputError
 
 HEAD = """LAB_NAME "A LAB"

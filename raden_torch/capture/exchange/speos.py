@@ -23,7 +23,7 @@ instrument's and whose values are 100 RT, as in the export for LightTools (see
 **What is not.** The lists of incidences and the spectrum, which are a template that does not
 follow the data; the second table, which is made from the first one (it averages readings of
 unlike directions). The format holds no scale of its own (SPEOS normalises it with the spectrum),
-no instrument or date, and no spread. Later versions (`.anisotropicbsdf`, v2 to v8) are not read.
+no instrument or date, and no spread. Versions 7 and 8 are read by `speos_bsdf`, others are not.
 
 Source: Ansys help, "Structure of Anisotropic BSDF Files", for the header; the values by
 comparison with the workbook of the same readings in ua-loft/bsdf-tools.
@@ -35,8 +35,8 @@ import os
 import re
 from pathlib import Path
 
-from raden_torch.capture.importers.rt300s_geometry import RtTable, measurement_of_tables
-from raden_torch.capture.importers.text import (
+from raden_torch.capture.exchange.rt300s_geometry import RtTable, measurement_of_tables
+from raden_torch.capture.exchange.text import (
     first_lines,
     number,
     read_lines,
@@ -119,7 +119,7 @@ def _incidence(
     """The incidence in degrees, after a look at what the header says of the values."""
     del vector  # where the anisotropy points: a template
     if title != _VERSION:
-        raise InputError(f"{path}: line {begin + 1}: expected '{_VERSION}', got {shown(title)}")
+        raise InputError(f"{path}: line {begin + 1}: expected '{_VERSION}', or v7.0 or v8.0, got {shown(title)}")
     named = re.fullmatch(r"SampleID:\s*Sample\s+(\S+)", sample)
     if named is None:
         raise InputError(

@@ -27,22 +27,27 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.importers.directions import (
+from raden_torch.capture.exchange.directions import (
     NOMINAL_NM,
     measurement_of,
     unit_vectors,
 )
-from raden_torch.capture.importers.text import (
+from raden_torch.capture.exchange.polar import polar_of
+from raden_torch.capture.exchange.text import (
+    check_values,
     first_lines,
     number,
     read_lines,
+    title,
     whole_number,
+    write_lines,
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
@@ -211,3 +216,33 @@ def _metadata(path: Path, header: _Header, notes: tuple[str, ...]) -> Metadata:
         other=tuple((key, value) for key, value in entries.items() if value),
         notes=notes,
     )
+
+
+def write(path: Path, measurement: BrdfMeasurement) -> None:
+    """Write readings, in radians.
+
+    Args:
+        measurement: valid readings, as `by_directions` gives them.
+
+    Raises:
+        InputError: more values than a text file can hold.
+    """
+    check_values(path, (len(measurement),), len(_ANGLES) + len(measurement.channels))
+    write_lines(path, _written(measurement))
+
+
+def _written(measurement: BrdfMeasurement) -> Iterator[str]:
+    polar = polar_of(measurement.angles_deg)
+    turned = measurement.azimuth_deg
+    light = np.zeros(len(measurement)) if turned is None else turned % 360
+    # the mirror is at φ_s = φ_i + 180°
+    view = (light + 180 + polar.azimuth) % 360
+    angles = np.deg2rad(np.stack([polar.incidence, light, polar.scatter, view], axis=1))
+    name = title(measurement.metadata).replace('"', "'")
+    yield f'SAMPLE_NAME "{name}"'
+    if measurement.metadata.instrument:
+        yield "SYSTEM_NAME " + " ".join(measurement.metadata.instrument.split())
+    yield f"NUM_POINTS {len(measurement)}"
+    yield "VARS " + ",".join([*_ANGLES, *measurement.channels])
+    for row in np.hstack([angles, measurement.values / FACTOR_PER_SR]).tolist():
+        yield ",".join([f"{value:.15g}" for value in row])

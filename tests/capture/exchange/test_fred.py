@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.exchange import load_measurement
 from raden_torch.errors import InputError
 
 HEAD = "type bsdf_data\nformat angles=deg bsdf=value scale=1\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from raden_torch.capture.importers import load_measurement
+from raden_torch.capture.exchange import load_measurement
 from raden_torch.errors import InputError
 from raden_torch.geometry import vectors_from_angles
 from raden_torch.measurement import BrdfMeasurement

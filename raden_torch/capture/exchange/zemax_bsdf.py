@@ -35,21 +35,27 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.importers.directions import (
+from raden_torch.capture.exchange.directions import (
     NOMINAL_NM,
     measurement_of,
 )
-from raden_torch.capture.importers.text import (
+from raden_torch.capture.exchange.scatter_grid import ScatterGrid, light_and_view
+from raden_torch.capture.exchange.text import (
+    check_values,
+    digits,
     first_lines,
     number,
     read_lines,
+    title,
     whole_number,
+    write_lines,
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
@@ -232,7 +238,8 @@ def _measurement(
         )
         azimuth = np.concatenate([azimuth, -azimuth[twin]])
         values = np.concatenate([values, values[twin]])
-    light, view = _directions(np.deg2rad(incidence), np.deg2rad(azimuth), np.deg2rad(radial))
+    angles = (np.deg2rad(incidence), np.deg2rad(azimuth), np.deg2rad(radial))
+    light, view = light_and_view(*angles, about="specular")
     filling = (values == 0).all(axis=1) & (view[2] > 0)
     if filling.all():
         raise InputError(f"{path}: expected a measurement, got values that are all 0")
@@ -253,14 +260,57 @@ def _measurement(
     )
 
 
-def _directions(incidence: Floats, azimuth: Floats, radial: Floats) -> tuple[Floats, Floats]:
-    """Light and view `[3, M]` of angles `[M]` in radians; the plane of incidence is xz."""
-    zero = np.zeros_like(incidence)
-    light = np.stack([-np.sin(incidence), zero, np.cos(incidence)])
-    specular = np.stack([np.sin(incidence), zero, np.cos(incidence)])
-    to_normal = np.stack([-np.cos(incidence), zero, np.sin(incidence)])
-    across = np.stack([zero, zero - 1, zero])  # specular × to_normal
-    view = np.cos(radial) * specular + np.sin(radial) * (
-        np.cos(azimuth) * to_normal + np.sin(azimuth) * across
-    )
-    return light, view
+def write(
+    path: Path,
+    grid: ScatterGrid,
+    f_r: Floats,
+    channels: tuple[str, ...],
+    metadata: Metadata,
+) -> None:
+    """Write a grid about the specular direction.
+
+    Args:
+        f_r: `[M, C]` in 1/sr in the order of `grid.nodes()`; NaN, where nothing is known, becomes
+            0, as below the horizon.
+        channels: X, Y and Z, or one.
+
+    Raises:
+        InputError: more values than a text file can hold.
+    """
+    check_values(path, grid.shape, len(channels))
+    symmetry = "Asymmetrical4D" if len(grid.rotation_deg) > 1 else "Asymmetrical"
+    one_side = grid.half(f_r)
+    if one_side is not None and symmetry == "Asymmetrical":
+        symmetry = "PlaneSymmetrical"
+        grid, f_r = one_side
+    content = "XYZ" if channels == XYZ else "Monochrome"
+    write_lines(path, _written(grid, f_r, channels, symmetry, content, metadata))
+
+
+def _written(
+    grid: ScatterGrid,
+    f_r: Floats,
+    channels: tuple[str, ...],
+    symmetry: str,
+    content: str,
+    metadata: Metadata,
+) -> Iterator[str]:
+    yield f"# Sample: {title(metadata)}"
+    if metadata.instrument:
+        yield "# Scatterometer: " + " ".join(metadata.instrument.split())
+    if content == "Monochrome":
+        yield f"# Wavelength: {channels[0].removesuffix('nm')} nm"
+    yield from ("Source  Measured", f"Symmetry  {symmetry}", f"SpectralContent  {content}")
+    yield "ScatterType  BRDF"
+    axes = (grid.rotation_deg, grid.incidence_deg, grid.azimuth_deg, grid.radial_deg)
+    for name, axis in zip(_AXES, axes, strict=True):
+        yield from (f"{name}  {len(axis)}", digits(axis))
+    yield ""
+    totals = grid.totals(f_r)
+    table = np.nan_to_num(f_r).reshape(*grid.shape, len(channels))
+    for c, section in enumerate(_SECTIONS[content]):
+        yield from (section, "DataBegin")
+        for rotation, incidence in np.ndindex(grid.shape[:2]):
+            yield f"TIS  {totals[rotation, incidence, c]:.6g}"
+            yield from map(digits, table[rotation, incidence, :, :, c])
+        yield "DataEnd"

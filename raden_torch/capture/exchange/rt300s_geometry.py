@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.importers.directions import measurement_of
+from raden_torch.capture.exchange.directions import measurement_of
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 
