@@ -101,6 +101,12 @@ _COMMANDS = (
         "raden merge scan.csv photographs.csv -o shell.csv",
     ),
     (
+        "convert_command:convert",
+        "Write a measurement or a model in another program's format, and say what was lost.",
+        "raden convert shell.csv shell.binary; raden convert gold.binary gold.bsdf --to zemax; "
+        "raden convert shell.safetensors shell.anisotropicbsdf --step 2.5",
+    ),
+    (
         "file_commands:plot",
         "Draw the paper's graphs of a measurement or a model; or where two measurements differ.",
         "raden plot shell.csv -o graphs.png --figure 5 --figure 9",

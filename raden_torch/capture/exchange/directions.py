@@ -19,6 +19,8 @@ from raden_torch.measurement import BrdfMeasurement, Metadata
 
 NOMINAL_NM = 550.0
 """The band of a file that holds one wavelength and does not say which (a note says so)."""
+ONE_BAND = (f"{NOMINAL_NM:g}nm",)
+"""The channels of such a file."""
 
 _ANGLES = ("incidence_deg", "receiving_deg", "tilt_deg")
 _HORIZON = 1e-9  # cosines up to this are at or below the horizon

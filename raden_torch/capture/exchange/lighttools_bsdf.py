@@ -38,7 +38,7 @@ from pathlib import Path
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.exchange.directions import NOMINAL_NM, measurement_of
+from raden_torch.capture.exchange.directions import ONE_BAND, measurement_of
 from raden_torch.capture.exchange.scatter_grid import ScatterGrid, light_and_view
 from raden_torch.capture.exchange.text import (
     Words,
@@ -195,12 +195,13 @@ def _measurement(
     if filling.any():
         notes.append(f"{int(filling.sum())} readings of exactly 0 left out as not measured")
     nm = blocks[0].entries.get("Wavelength", "0")
+    names: tuple[str, ...]
     if content == "XYZ":
         names, note = XYZ, "white taken as D65"
     elif nm != "0":
         names, note = (f"{nm}nm",), ""
     else:
-        names = (f"{NOMINAL_NM:g}nm",)
+        names = ONE_BAND
         note = f"the file names no wavelength, the band is called {names[0]}"
     with np.errstate(over="ignore"):  # what overflows is refused as not finite
         factors = FACTOR_PER_SR * values[~filling]

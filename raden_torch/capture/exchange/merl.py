@@ -1,7 +1,7 @@
-"""The MERL database's table of an isotropic BRDF, `.binary` (Matusik, Pfister, Brand, McMillan 2003).
+"""The MERL database's table of an isotropic BRDF, `.binary` (Matusik et al. 2003).
 
-Three little-endian int32 (90, 90, 180), then red, green and blue, one after the other, as float64:
-`[θ_h, θ_d, φ_d]` each. With h the half vector and d the light seen from h's own frame, the cells
+Three little-endian int32 (90, 90, 180), then red, green and blue, one after the other, as float64
+`[θ_h, θ_d, φ_d]`. With h the half vector and d the light seen from h's own frame, the cells
 are 90 steps of θ_h, 90 of θ_d to 90 degrees and 180 of φ_d to 180 degrees; a cell's index is
 
     i = ⌊√(90 θ_h°)⌋,  j = ⌊θ_d°⌋,  k = ⌊φ_d°⌋      (θ_h is finer near the highlight).
@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.exchange.directions import measurement_of
 from raden_torch.capture.exchange.scatter_grid import Nodes
 from raden_torch.errors import InputError
@@ -51,9 +51,8 @@ def recognises(head: bytes) -> bool:
     """True where three dimensions stand first, in either byte order, of any size."""
     if len(head) < 3 * _HEADER.itemsize:
         return False
-    return any(
-        all(0 < int(n) <= _MOST for n in np.frombuffer(head[:12], order)) for order in ("<i4", ">i4")
-    )
+    sizes = [np.frombuffer(head[:12], order) for order in ("<i4", ">i4")]
+    return any(bool(((n > 0) & (n <= _MOST)).all()) for n in sizes)
 
 
 def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
@@ -83,7 +82,7 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
         cell = int(np.argmin(np.isfinite(values).all(axis=1)))
         raise InputError(f"{path}: cell {cell + 1}: expected finite numbers, got {values[cell]}")
     light, view = cell_directions()
-    hole = (values < 0).any(axis=1)
+    hole: Bools = np.asarray((values < 0).any(axis=1))
     above = (light[2] > 0) & (view[2] > 0)
     factors = np.where(hole[:, None], np.nan, values * SCALE * FACTOR_PER_SR)
     notes = ["R, G, B taken as linear with sRGB primaries"]

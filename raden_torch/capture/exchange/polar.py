@@ -61,8 +61,13 @@ def polar_of(angles_deg: Floats) -> Polar:
     return Polar(incidence, scatter, azimuth)
 
 
-def by_directions(measurement: BrdfMeasurement) -> tuple[BrdfMeasurement, str]:
+def by_directions(
+    measurement: BrdfMeasurement, *, over_azimuths: bool = False
+) -> tuple[BrdfMeasurement, str]:
     """The valid readings, each pair of directions once and by the angles that it reads back to.
+
+    Args:
+        over_azimuths: one at several azimuths of the sample is one, too.
 
     Returns:
         The readings without standard deviations and counts, and what became one, in one sentence;
@@ -80,7 +85,10 @@ def by_directions(measurement: BrdfMeasurement) -> tuple[BrdfMeasurement, str]:
         raise InputError("measurement: expected readings from above the horizon, got none")
     known, light, view = known.select(~below), light[:, ~below], view[:, ~below]
     angles = np.stack(raden_degrees(light, view), axis=1)
-    key = angles if known.azimuth_deg is None else np.c_[angles, known.azimuth_deg % 360]
+    if over_azimuths or known.azimuth_deg is None:
+        turned, key = None, angles
+    else:
+        turned, key = known.azimuth_deg, np.column_stack([angles, known.azimuth_deg % 360])
     cells, cell = distinct(key)
     number = np.bincount(cell)
     first = np.full(len(cells), len(known))
@@ -93,6 +101,7 @@ def by_directions(measurement: BrdfMeasurement) -> tuple[BrdfMeasurement, str]:
     kept = replace(
         known.select(rows),
         **dict(zip(("incidence_deg", "receiving_deg", "tilt_deg"), angles[rows].T, strict=True)),
+        azimuth_deg=None if turned is None else turned[rows],
         values=mean[order],
         std=None,
         count=None,

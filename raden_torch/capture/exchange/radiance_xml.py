@@ -42,7 +42,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.exchange.directions import NOMINAL_NM, measurement_of
+from raden_torch.capture.exchange.directions import NOMINAL_NM, ONE_BAND, measurement_of
 from raden_torch.capture.exchange.tensor_tree import leaves, tree_directions
 from raden_torch.capture.exchange.text import MAX_BYTES
 from raden_torch.errors import InputError
@@ -129,9 +129,7 @@ def _text(element: ElementTree.Element, place: str) -> str:
     return " ".join((element.findtext(place) or "").split())
 
 
-def _blocks(
-    path: Path, layer: ElementTree.Element
-) -> tuple[str, dict[str, ElementTree.Element]]:
+def _blocks(path: Path, layer: ElementTree.Element) -> tuple[str, dict[str, ElementTree.Element]]:
     """Which side is read, and its blocks by colour."""
     found: dict[str, dict[str, ElementTree.Element]] = {}
     directions = set()
@@ -258,12 +256,13 @@ def _measurement(
     if side == _SIDES[0]:  # seen from behind, which turns the other way round
         light[1], view[1] = -light[1], -view[1]
         azimuth = -azimuth % 360
+    channels: tuple[str, ...] = XYZ
     if len(readings) == 3:
-        channels, white = XYZ, "E"
+        white = "E"
         note = "white taken as E, as Radiance's greys have X = Y = Z"
         f_r = np.stack([readings[colour].f_r for colour in _COLOURS], axis=1)
     else:
-        channels, white, f_r = (f"{NOMINAL_NM:g}nm",), "D65", first.f_r[:, None]
+        channels, white, f_r = ONE_BAND, "D65", first.f_r[:, None]
         note = f"Visible alone (luminance), the band is called {NOMINAL_NM:g} nm"
     names = (_text(layer, "Material/Name"), _text(layer, "Material/Manufacturer"))
     other = (("manufacturer", names[1]),) if names[1] else ()

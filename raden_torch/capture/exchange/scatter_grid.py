@@ -1,8 +1,9 @@
 """A grid of directions: sample rotation × incidence × azimuth × radial angle of the viewer.
 
 Azimuth and radial angle are polar angles about an axis: the *normal* (azimuth 0 is the mirror's
-side of the plane of incidence, counter-clockwise seen from above), or the *specular* direction S, as
-Zemax has it (azimuth 0 points from S towards the normal, counter-clockwise looking at the sample).
+side of the plane of incidence, counter-clockwise seen from above), or the *specular* direction S,
+as Zemax has it (azimuth 0 points from S towards the normal, counter-clockwise looking at the
+sample).
 """
 
 from __future__ import annotations

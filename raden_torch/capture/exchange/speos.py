@@ -119,7 +119,9 @@ def _incidence(
     """The incidence in degrees, after a look at what the header says of the values."""
     del vector  # where the anisotropy points: a template
     if title != _VERSION:
-        raise InputError(f"{path}: line {begin + 1}: expected '{_VERSION}', or v7.0 or v8.0, got {shown(title)}")
+        raise InputError(
+            f"{path}: line {begin + 1}: expected '{_VERSION}', or v7.0 or v8.0, got {shown(title)}"
+        )
     named = re.fullmatch(r"SampleID:\s*Sample\s+(\S+)", sample)
     if named is None:
         raise InputError(

@@ -6,21 +6,21 @@ v7.0 and v8.0, text mode).
     a comment
     5                          so many characters of description follow
     shell
-    0	1	0                  anisotropy vector
-    1	0                      has reflection, has transmission
+    0 1 0                  anisotropy vector
+    1 0                      has reflection, has transmission
     1                          values go with the BSDF (0: with intensity, BSDF · cos θ)
     1                          sample azimuths, and which
     0
     3                          incidences, and which, once for each azimuth
-    0	30	60
-    0	0                      incidence and azimuth at which the spectrum was measured
+    0 30 60
+    0 0                      incidence and azimuth at which the spectrum was measured
 
     2                          that many lines of wavelength in nm and percent
-    350	31
-    850	31
+    350 31
+    850 31
     19 72                      a table an azimuth and incidence: polar angles, azimuths
-    	0	5 …
-    0	0.1	0.1 …
+        0 5 …
+    0 0.1 0.1 …
     End of file
 
 Polar angles are about the normal; azimuth 0 is taken as the mirror's side, counter-clockwise seen
@@ -156,9 +156,7 @@ def _check(words: Words, what: str, angles: Floats, most: float) -> None:
 Table = tuple[float, float, Floats, Floats, Floats]
 
 
-def _scale(
-    path: Path, tables: list[Table], at: Floats, share: float, with_cosine: bool
-) -> float:
+def _scale(path: Path, tables: list[Table], at: Floats, share: float, with_cosine: bool) -> float:
     """What makes BSDF in 1/sr of values, or of values over cos θ."""
     far = [abs(rotation - at[1]) + abs(incidence - at[0]) for rotation, incidence, *_ in tables]
     rotation, incidence, polar, azimuth, values = tables[int(np.argmin(far))]

@@ -1,0 +1,1 @@
+"""Measurements and models as files of other programs: what `raden convert` does."""
