@@ -100,6 +100,8 @@ def _as_grid(
     source: BrdfMeasurement | RadenBrdf, path: Path, name: str, options: Options
 ) -> Conversion:
     wanted = FORMATS[name]
+    if wanted.grid == "cells" and options.step_deg is not None:
+        raise InputError(f"step_deg: expected with another format than {wanted.title}'s cells")
     if isinstance(source, RadenBrdf):
         channels, metadata = channels_for(wanted, options.channel), _metadata_of(source)
         lost = ["what the model has between these directions", *_unheld(metadata, wanted)]
@@ -155,8 +157,6 @@ def _regular(
 ) -> ScatterGrid | None:
     """A grid that is made for the format, checked for its size; None for MERL's cells."""
     if wanted.grid == "cells":
-        if options.step_deg is not None:
-            raise InputError(f"step_deg: expected with another format than {wanted.title}'s cells")
         return None
     step = STEP_DEG if options.step_deg is None else options.step_deg
     grid = ScatterGrid.regular(step, _about(wanted), rotation_deg)

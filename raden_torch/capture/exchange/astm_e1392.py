@@ -28,7 +28,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +43,7 @@ from raden_torch.capture.exchange.polar import polar_of
 from raden_torch.capture.exchange.text import (
     check_values,
     first_lines,
+    named,
     number,
     read_lines,
     title,
@@ -210,8 +211,8 @@ def _check_degrees(path: Path, header: _Header, degrees: Floats) -> None:
 def _metadata(path: Path, header: _Header, notes: tuple[str, ...]) -> Metadata:
     entries = dict(header.entries)
     entries.pop("NUM_POINTS", None)
-    return Metadata(
-        sample=entries.pop("SAMPLE_NAME", "") or path.stem,
+    return replace(
+        named(entries.pop("SAMPLE_NAME", ""), path.stem),
         instrument=entries.pop("SYSTEM_NAME", ""),
         other=tuple((key, value) for key, value in entries.items() if value),
         notes=notes,

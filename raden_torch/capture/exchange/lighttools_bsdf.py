@@ -45,6 +45,7 @@ from raden_torch.capture.exchange.text import (
     check_values,
     digits,
     first_lines,
+    named,
     title,
     write_lines,
 )
@@ -86,6 +87,8 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
     """
     path = Path(path)
     words = Words.of(path, comments="#")
+    sample = re.search(r"^#\s*Sample:(.*)", words.comments, re.MULTILINE)
+    about = named(sample[1] if sample else "", path.stem)
     content, azimuth, radial = _header(words)
     size = len(azimuth) * len(radial)
     blocks, rows, skipped = [], [], 0
@@ -108,7 +111,8 @@ def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
             f"{skipped} blocks of transmission or of the back"
         )
     notes = [f"{skipped} blocks of transmission or of the back left out"] if skipped else []
-    return _measurement(path, content, blocks, np.array(rows), (azimuth, radial), notes)
+    about = replace(about, notes=tuple(notes))
+    return _measurement(path, content, blocks, np.array(rows), (azimuth, radial), about)
 
 
 def _header(words: Words) -> tuple[str, Floats, Floats]:
@@ -164,8 +168,9 @@ def _measurement(
     blocks: list[_Block],
     rows: Floats,
     axes: tuple[Floats, Floats],
-    notes: list[str],
+    about: Metadata,
 ) -> BrdfMeasurement:
+    notes = list(about.notes)
     channels = _CONTENT[content]
     place: dict[tuple[float, float], dict[int, int]] = {}
     for i, block in enumerate(blocks):
@@ -211,7 +216,7 @@ def _measurement(
         view[:, ~filling],
         factors,
         names,
-        metadata=Metadata(path.stem, notes=tuple(filter(None, [note, *notes]))),
+        metadata=replace(about, notes=tuple(filter(None, [note, *notes]))),
         azimuth_deg=np.outer(planes, one).ravel()[~filling],
         average_repeats=True,
     )

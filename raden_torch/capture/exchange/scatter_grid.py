@@ -24,6 +24,7 @@ About = Literal["normal", "specular"]
 
 _SAME_DEG = 5e-4  # a reading so near a node is of it
 _DIGITS = 4  # of angles that axes are found by
+_MEAN_DIGITS = 8
 _MOSTLY = 0.5  # of a grid's nodes above the horizon: then the readings lie on it
 _HORIZON = 1e-9
 _POLE_DEG = 1e-3  # nearer the axis no azimuth is known
@@ -220,7 +221,13 @@ def _trapezoid(axis: Floats, period: float = 0.0) -> Floats:
 
 
 def _distinct(angles: Floats, period: float) -> Floats:
-    """The angles that occur, ascending; those a rounding apart are one."""
+    """The angles that occur, ascending; those a rounding apart are their mean."""
     rounded = np.round(angles, _DIGITS) + 0.0
-    found = np.unique(rounded % period if period else rounded)
-    return found[np.concatenate([[True], np.diff(found) > 2 * _SAME_DEG])] if len(found) else found
+    place = rounded % period if period else rounded
+    found, index = np.unique(place, return_inverse=True)
+    if not len(found):
+        return found
+    group = np.concatenate([[0], np.cumsum(np.diff(found) > 2 * _SAME_DEG)])[index]
+    exact = angles - rounded + place
+    mean = np.bincount(group, exact) / np.bincount(group)
+    return np.round(np.maximum(mean, 0.0), _MEAN_DIGITS) + 0.0

@@ -39,8 +39,8 @@ from other formats write (their azimuth 0 is the mirror's).
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +53,9 @@ from raden_torch.capture.exchange.text import (
     check_values,
     digits,
     first_lines,
+    named,
     read_lines,
+    stated_nm,
     title,
     whole_number,
     write_lines,
@@ -201,8 +203,9 @@ def _measurement(
     kept = ~filling
     angles = (np.deg2rad(x[kept]) for x in (incidence, azimuth, polar))
     light, view = light_and_view(*angles, about="normal")
-    stated = re.search(r"\b([0-9]{3,5}(?:\.[0-9]+)?)\s*nm\b", text)
-    nm = float(stated[1]) if stated else NOMINAL_NM
+    about = named(text.partition("\n")[2].partition(";")[0], path.stem)
+    stated = stated_nm(text)
+    nm = stated or NOMINAL_NM
     notes = [
         f"wavelength of {nm:g} nm from the comment"
         if stated
@@ -220,7 +223,7 @@ def _measurement(
         view,
         factors,
         (f"{nm:g}nm",),
-        metadata=Metadata(path.stem, notes=tuple(filter(None, notes))),
+        metadata=replace(about, notes=tuple(filter(None, notes))),
         azimuth_deg=rotation[kept],
         average_repeats=True,
     )

@@ -19,6 +19,8 @@ from raden_torch.measurement.text_file import UTF_8, read_text, shown
 
 MAX_BYTES = 100_000_000
 """Larger text files are refused before they are read."""
+_SIMULATED = "simulated "
+
 MAX_WRITTEN = 6_000_000
 """Values of a text file that is written: `MAX_BYTES` hold them."""
 
@@ -85,8 +87,23 @@ def digits(row: NDArray[np.float64]) -> str:
 def title(metadata: Metadata) -> str:
     """The sample's name on one line, which says what is simulated."""
     name = " ".join(metadata.sample.split()) or "sample"
-    is_said = not metadata.simulated or "simulated" in name.lower()
-    return name if is_said else f"simulated {name}"
+    is_said = not metadata.simulated or name.lower().startswith(_SIMULATED)
+    return name if is_said else f"{_SIMULATED}{name}"
+
+
+def named(text: str, otherwise: str) -> Metadata:
+    """What a sample's name says, as `title` wrote it."""
+    name = " ".join(text.split()).strip('"') or otherwise
+    simulated = name.lower().startswith(_SIMULATED)
+    return Metadata(name[len(_SIMULATED) :] if simulated else name, simulated=simulated)
+
+
+def stated_nm(text: str) -> float | None:
+    """The wavelength that a text names: after "wavelength", else the last one."""
+    number_nm = r"\b([0-9]{3,5}(?:\.[0-9]+)?)\s*nm\b"
+    said = re.search(r"wavelength\W+" + number_nm, text, re.IGNORECASE)
+    found = [said[1]] if said else re.findall(number_nm, text)
+    return float(found[-1]) if found else None
 
 
 def write_lines(path: Path, lines: Iterable[str]) -> None:
@@ -100,12 +117,14 @@ class Words:
     """A text file word by word, wherever its lines break, with the line that each stands on.
 
     Attributes:
+        comments: the lines that were left out.
         line: of the last word that was read, from 1.
     """
 
     path: Path
     words: list[str]
     lines: list[int]
+    comments: str = ""
     at: int = 0
     line: int = 1
 
@@ -121,13 +140,16 @@ class Words:
         """
         words: list[str] = []
         numbers: list[int] = []
+        left_out: list[str] = []
         for index, line in enumerate(read_lines(path)):
+            if comments and line.lstrip().startswith(comments):
+                left_out.append(line)
             if index < begin or (comments and line.lstrip().startswith(comments)):
                 continue
             own = line.split()
             words += own
             numbers += [index + 1] * len(own)
-        return cls(path, words, numbers)
+        return cls(path, words, numbers, "\n".join(left_out))
 
     @property
     def left(self) -> int:

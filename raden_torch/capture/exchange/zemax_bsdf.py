@@ -51,8 +51,10 @@ from raden_torch.capture.exchange.text import (
     check_values,
     digits,
     first_lines,
+    named,
     number,
     read_lines,
+    stated_nm,
     title,
     whole_number,
     write_lines,
@@ -195,28 +197,28 @@ def _table(lines: _Lines, section: str, axes: list[Floats]) -> Floats:
 def _channels(
     path: Path, spectral_content: str, comments: list[str]
 ) -> tuple[tuple[str, ...], Metadata]:
-    sample, instrument = path.stem, ""
+    about = named("", path.stem)
     other = []
     for comment in comments:
         key, colon, value = (part.strip() for part in comment.partition(":"))
         if not colon or not value:
             continue
         if key.lower() in ("sample", "name"):
-            sample = value
+            about = replace(named(value, path.stem), instrument=about.instrument)
         elif key.lower() == "scatterometer":
-            instrument = value
+            about = replace(about, instrument=value)
         elif re.fullmatch(r"[\w .-]+", key):
             other.append((key, value))
     if spectral_content == "XYZ":
-        return XYZ, Metadata(sample, instrument, other=tuple(other), notes=("white taken as D65",))
-    stated = re.search(r"\b([0-9]{3,5}(?:\.[0-9]+)?)\s*nm\b", "\n".join(comments))
-    nm = float(stated[1]) if stated else NOMINAL_NM
+        return XYZ, replace(about, other=tuple(other), notes=("white taken as D65",))
+    stated = stated_nm("\n".join(comments))
+    nm = stated or NOMINAL_NM
     note = (
         f"wavelength of {nm:g} nm from the comments"
         if stated
         else f"the file names no wavelength, the band is called {nm:g} nm"
     )
-    return (f"{nm:g}nm",), Metadata(sample, instrument, other=tuple(other), notes=(note,))
+    return (f"{nm:g}nm",), replace(about, other=tuple(other), notes=(note,))
 
 
 def _measurement(
