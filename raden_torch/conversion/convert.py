@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Bools, Floats
+from raden_torch.brdf.fitting.fit import fit
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.capture.exchange import (
     astm_e1392,
@@ -29,7 +30,15 @@ from raden_torch.capture.exchange.polar import by_directions
 from raden_torch.capture.exchange.scatter_grid import About, ScatterGrid
 from raden_torch.capture.exchange.text import check_values
 from raden_torch.conversion.evaluation import f_r_at, in_box
-from raden_torch.conversion.grid_values import GridValues, of_fit, of_fitted_model, of_readings
+from raden_torch.conversion.grid_values import (
+    BY_CELLS,
+    GridValues,
+    in_channels,
+    of_cells,
+    of_fit,
+    of_fitted_model,
+    of_readings,
+)
 from raden_torch.conversion.options import Conversion, Options
 from raden_torch.errors import InputError, check_type
 from raden_torch.files import check_output
@@ -41,7 +50,7 @@ STEP_DEG = 5.0
 """Of a grid, where nothing else is asked for."""
 USUAL = Options()
 _HIGHEST_DEG = 85.0
-_MOSTLY = 0.5  # of the readings lie on MERL's cells: then they come from such a file
+_MOST_CHANNELS = 3
 _GRIDS = {"zemax": zemax_bsdf.write, "lighttools": lighttools_bsdf.write, "speos": speos_bsdf.write}
 
 
@@ -71,9 +80,10 @@ def convert(
     target = check_output(path, wanted.suffixes)
     if wanted.grid is not None:
         return _as_grid(source, target, name, options)
-    if isinstance(source, RadenBrdf):
+    if isinstance(source, RadenBrdf) or options.step_deg is not None:
         sampled, lost = _sampled(source, target, wanted, options)
-        return _as_list(sampled, target, name, replace(options, channel=None), lost)
+        done = _as_list(sampled, target, name, replace(options, channel=None), lost)
+        return replace(done, as_read=0, interpolated=done.as_read)
     return _as_list(source, target, name, options, [])
 
 
@@ -128,17 +138,17 @@ def _of_measurement(
     options: Options,
 ) -> tuple[ScatterGrid | None, GridValues]:
     """The grid, None for MERL's cells, and what stands in it."""
-    is_merl = wanted.grid == "cells"
-    if is_merl:
-        own = of_readings(merl.nodes(), readings, is_reciprocal=True)
-        if own.read.sum() >= _MOSTLY * len(readings):
-            return None, own
-        return None, of_fit(own.nodes, basis, readings, options, is_reciprocal=True)
+    if wanted.grid == "cells":
+        nodes = merl.nodes()
+        cells = merl.Cells.of(readings)
+        if cells is not None:
+            return None, of_cells(nodes, cells)
+        return None, of_fit(nodes, basis, readings, options, is_reciprocal=True)
     if options.step_deg is None:
         grid = ScatterGrid.through(readings, _about(wanted))
         if grid is not None:
             check_values(path, grid.shape, len(readings.channels))
-            return grid, of_readings(grid.nodes(), readings, is_reciprocal=False)
+            return grid, of_readings(grid.nodes(), readings)
     turned = np.zeros(1)
     if readings.azimuth_deg is not None:
         turned = np.unique(np.round(readings.azimuth_deg % 360, 6) % 360)
@@ -212,27 +222,63 @@ def _clipped(values: Floats, wanted: Format) -> tuple[Floats, list[str]]:
 
 
 def _sampled(
-    model: RadenBrdf, path: Path, wanted: Format, options: Options
+    source: BrdfMeasurement | RadenBrdf, path: Path, wanted: Format, options: Options
 ) -> tuple[BrdfMeasurement, list[str]]:
-    """A model on a grid of our angles to 85 degrees."""
+    """A model, or what readings make one, on a grid of our angles to 85 degrees."""
     step = STEP_DEG if options.step_deg is None else options.step_deg
     if not 0 < step <= 45:
         raise InputError(f"step_deg: expected above 0 and up to 45 degrees, got {step:g}")
-    channels = channels_for(wanted, options.channel)
     up = int(_HIGHEST_DEG / step + 1e-9)
-    check_values(path, (up + 1, 2 * up + 1, 2 * up + 1), len(channels))
+    check_values(path, (up + 1, 2 * up + 1, 2 * up + 1), _MOST_CHANNELS)
     axis = step * np.arange(-up, up + 1, dtype=np.float64)
-    angles = AngleGrid(axis[up:], axis, axis).nodes_deg().reshape(-1, 3)
+    a, r, t = AngleGrid(axis[up:], axis, axis).nodes_deg().reshape(-1, 3).T
+    angles = np.stack([a, r, t], axis=1)
+    if isinstance(source, RadenBrdf):
+        values, inside, channels, about, lost = _of_model(source, angles, wanted, options)
+    else:
+        values, inside, channels, about, lost = _of_readings(source, angles, path, wanted, options)
+    if options.holes:
+        values[~inside] = np.nan
+    elif not inside.all():
+        lost.append(f"that {int((~inside).sum())} values lie beyond the measured angles")
+    return BrdfMeasurement(a, r, t, values, channels, metadata=about), lost
+
+
+_Sampled = tuple[Floats, Bools, tuple[str, ...], Metadata, list[str]]
+
+
+def _of_model(model: RadenBrdf, angles: Floats, wanted: Format, options: Options) -> _Sampled:
+    channels = channels_for(wanted, options.channel)
     values = of_model(f_r_at(model, angles), channels, options.channel)
-    note = "values of a model, not readings"
-    metadata = replace(_metadata_of(model), notes=(note,))
-    a, r, t = angles.T
-    sampled = BrdfMeasurement(a, r, t, values, channels, metadata=metadata)
-    lost = [f"what the model has between angles {step:g} deg apart"]
-    outside = int((~in_box(model, angles)).sum())
-    if outside:
-        lost.append(f"that {outside} values lie beyond the measured angles")
-    return sampled, lost
+    about = replace(_metadata_of(model), notes=("values of a model, not readings",))
+    return (
+        values,
+        in_box(model, angles),
+        channels,
+        about,
+        ["what the model has between these directions"],
+    )
+
+
+def _of_readings(
+    measurement: BrdfMeasurement, angles: Floats, path: Path, wanted: Format, options: Options
+) -> _Sampled:
+    basis, kept, lost = _prepared(measurement, path, wanted, options)
+    if kept.azimuths > 1:
+        raise InputError(
+            f"{path}: expected readings at one sample azimuth, or `average`, for a grid of "
+            f"`step_deg`, got {kept.azimuths}"
+        )
+    about = replace(kept.metadata, notes=(*kept.metadata.notes, "resampled, not readings"))
+    cells = merl.Cells.of(basis)
+    if cells is not None:
+        values = cells(angles)
+        inside = np.asarray(~np.isnan(values).any(axis=1))
+        return values, inside, kept.channels, about, [*lost, BY_CELLS]
+    result = fit(basis, assume=options.assume)
+    values = in_channels(f_r_at(result.model, angles), kept.channels)
+    lost.append(f"the readings themselves (a fit stands for them: {result.report.interpolation})")
+    return values, in_box(result.model, angles), kept.channels, about, lost
 
 
 def _metadata_of(model: RadenBrdf) -> Metadata:

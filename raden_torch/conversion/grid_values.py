@@ -11,6 +11,7 @@ from raden_torch.arrays import Bools, Floats
 from raden_torch.brdf.fitting.fit import fit
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.capture.exchange.colours import of_model
+from raden_torch.capture.exchange.merl import Cells
 from raden_torch.capture.exchange.scatter_grid import Nodes
 from raden_torch.conversion.evaluation import f_r_at, in_box
 from raden_torch.conversion.options import Conversion, Options
@@ -21,6 +22,7 @@ from raden_torch.measurement.readings import FACTOR_PER_SR, RGB, XYZ
 from raden_torch.reflectance.isotropic import mean_percent
 from raden_torch.reflectance.symmetry import reciprocal
 
+BY_CELLS = "what lies between these directions (MERL's cells are read linearly)"
 _DIGITS = 6
 
 
@@ -61,23 +63,20 @@ class GridValues:
         )
 
 
-def of_readings(nodes: Nodes, readings: BrdfMeasurement, *, is_reciprocal: bool) -> GridValues:
-    """Readings that lie on the nodes; the other nodes stay empty.
-
-    Args:
-        is_reciprocal: the file takes a geometry and its reciprocal for one: both readings' mean.
-    """
+def of_readings(nodes: Nodes, readings: BrdfMeasurement) -> GridValues:
+    """Readings that lie on the nodes; the other nodes stay empty."""
     found = GridValues.empty(nodes, len(readings.channels))
     row = nodes.readings(readings)
     found.read = row >= 0
     found.values[found.read] = readings.values[row[found.read]]
-    if is_reciprocal:
-        other = Nodes(reciprocal(nodes.angles_deg), nodes.rotation_deg, nodes.above)
-        row = other.readings(readings)
-        swapped = np.full_like(found.values, np.nan)
-        swapped[row >= 0] = readings.values[row[row >= 0]]
-        _average(found, swapped)
-        found.read |= row >= 0
+    return found
+
+
+def of_cells(nodes: Nodes, cells: Cells) -> GridValues:
+    """MERL's cells as they were read."""
+    found = GridValues.empty(nodes, cells.table.shape[-1])
+    found.values[nodes.above] = cells.table.reshape(-1, cells.table.shape[-1])[nodes.above]
+    found.read = nodes.above & ~np.isnan(found.values).any(axis=1)
     return found
 
 
@@ -88,7 +87,7 @@ def of_fitted_model(
     """A model at all nodes.
 
     Args:
-        is_reciprocal: as in `of_readings`.
+        is_reciprocal: the file takes a geometry and its reciprocal for one: both have the mean.
     """
     found = GridValues.empty(nodes, len(channels))
     _fill(found, nodes.above, model, lambda f: of_model(f, channels, options.channel), options)
@@ -110,12 +109,18 @@ def of_fit(
     Args:
         basis: the readings as they are fitted.
         readings: by their directions.
-        is_reciprocal: as in `of_readings`.
+        is_reciprocal: as in `of_fitted_model`.
 
     Raises:
         InputError: readings of an azimuth that cannot be fitted.
     """
     found = GridValues.empty(nodes, len(readings.channels))
+    cells = Cells.of(basis)
+    if cells is not None:
+        found.values[nodes.above] = cells(nodes.angles_deg[nodes.above])
+        found.inside = np.asarray(~np.isnan(found.values).any(axis=1))
+        found.lost.append(BY_CELLS)
+        return found
     swapped = np.full_like(found.values, np.nan)
     schemes = set()
     rotation = np.round(nodes.rotation_deg % 360, _DIGITS)
@@ -129,11 +134,11 @@ def of_fit(
             where = f"sample azimuth {turned:g} degrees: " if basis.azimuths > 1 else ""
             raise InputError(f"{where}{error}") from None
         here = nodes.above & (rotation == turned)
-        _fill(found, here, result.model, lambda f: _in_channels(f, readings.channels), options)
+        _fill(found, here, result.model, lambda f: in_channels(f, readings.channels), options)
         schemes.add(result.report.interpolation)
         if is_reciprocal:
             angles = reciprocal(nodes.angles_deg[here])
-            swapped[here] = _in_channels(f_r_at(result.model, angles), readings.channels)
+            swapped[here] = in_channels(f_r_at(result.model, angles), readings.channels)
     row = np.full(len(nodes.above), -1)
     if is_reciprocal:
         _average(found, np.where(np.isnan(found.values), np.nan, swapped))
@@ -162,7 +167,7 @@ def _fill(
         found.values[here & ~found.inside] = np.nan
 
 
-def _in_channels(f_r: Floats, channels: tuple[str, ...]) -> Floats:
+def in_channels(f_r: Floats, channels: tuple[str, ...]) -> Floats:
     """Linear RGB in 1/sr of a model of readings in `channels` → reflectance factors in these."""
     if channels == XYZ:
         return xyz_of_f_r(f_r)

@@ -23,12 +23,14 @@ Source: Matusik's BRDFRead.cpp, as its many ports have it.
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.exchange.directions import measurement_of
+from raden_torch.capture.exchange.polar import directions
 from raden_torch.capture.exchange.scatter_grid import Nodes
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
@@ -45,6 +47,9 @@ _HEADER = np.dtype("<i4")
 _VALUE = np.dtype("<f8")
 _BYTES = 3 * _HEADER.itemsize + 3 * CELLS * _VALUE.itemsize
 _MOST = 1 << 16  # of what looks like a dimension
+_LEAST = 10_000  # readings that may be of cells
+_OFF = 1e-2  # of a cell: readings of its middle are rounded
+_TRACE = 1e-6
 
 
 def recognises(head: bytes) -> bool:
@@ -109,6 +114,72 @@ def cell_directions() -> tuple[Floats, Floats]:
     along = np.stack([np.sin(h) * z, np.zeros_like(h), np.cos(h) * z])  # the part along h
     across = np.stack([np.cos(h) * x, y, -np.sin(h) * x])
     return along + across, along - across
+
+
+def positions(angles_deg: Floats) -> Floats:
+    """`[3, M]`: where angles `[M, 3]` lie among the cells, counted from the middle of the first."""
+    light, view = directions(angles_deg)
+    half = light + view
+    half /= np.linalg.norm(half, axis=0)
+    across = np.hypot(half[0], half[1])
+    turn = np.arctan2(half[1], half[0])
+    # the light, turned about z so that the half vector's azimuth is 0, then about y onto z
+    x = np.cos(turn) * light[0] + np.sin(turn) * light[1]
+    y = np.cos(turn) * light[1] - np.sin(turn) * light[0]
+    x, z = half[2] * x - across * light[2], across * x + half[2] * light[2]
+    theta_h, theta_d = np.arctan2(across, half[2]), np.arctan2(np.hypot(x, y), z)
+    phi_d = np.arctan2(y, x) % np.pi
+    i = np.sqrt(SHAPE[0] * np.rad2deg(theta_h))
+    return np.stack([i, np.rad2deg(theta_d), np.rad2deg(phi_d)]) - 0.5
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Readings of the cells as a function of the angles: linear between the cells' middles, of
+    those around that are known.
+
+    Attributes:
+        table: `[90, 90, 180, C]`; NaN in holes.
+    """
+
+    table: Floats
+
+    @classmethod
+    def of(cls, measurement: BrdfMeasurement) -> Cells | None:
+        """None where the readings are not of cells."""
+        known = measurement.select(measurement.valid)
+        if len(known) < _LEAST:
+            return None
+        place = positions(known.angles_deg)
+        cell = np.rint(place)
+        cell[2] %= SHAPE[2]
+        off = abs(place - np.rint(place)).max(axis=1)
+        if (off > _OFF).any() or (cell.max(axis=1) >= SHAPE).any():
+            return None
+        table = np.full((*SHAPE, len(known.channels)), np.nan)
+        table[tuple(cell.astype(np.intp))] = known.values
+        return cls(table)
+
+    def __call__(self, angles_deg: Floats) -> Floats:
+        """`[M, 3]` → `[M, C]`; NaN where no cell around is known."""
+        place = positions(angles_deg)
+        highest = np.array(SHAPE)[:, None] - 1
+        place[:2] = np.clip(place[:2], 0, highest[:2])
+        low = np.floor(place)
+        share = place - low
+        total = np.zeros((len(angles_deg), self.table.shape[-1]))
+        weight = np.zeros(len(angles_deg))
+        for corner in np.indices((2, 2, 2)).reshape(3, -1).T:
+            at = (low + corner[:, None]).astype(np.intp)
+            at[:2] = np.minimum(at[:2], highest[:2])
+            at[2] %= SHAPE[2]  # φ_d + 180 is φ_d
+            own = np.where(corner[:, None], share, 1 - share).prod(axis=0)
+            value = self.table[tuple(at)]
+            there = ~np.isnan(value).any(axis=1)
+            total[there] += own[there, None] * value[there]
+            weight[there] += own[there]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(weight[:, None] > _TRACE, total / weight[:, None], np.nan)
 
 
 def nodes() -> Nodes:

@@ -230,4 +230,4 @@ def _distinct(angles: Floats, period: float) -> Floats:
     group = np.concatenate([[0], np.cumsum(np.diff(found) > 2 * _SAME_DEG)])[index]
     exact = angles - rounded + place
     mean = np.bincount(group, exact) / np.bincount(group)
-    return np.round(np.maximum(mean, 0.0), _MEAN_DIGITS) + 0.0
+    return np.asarray(np.round(np.maximum(mean, 0.0), _MEAN_DIGITS) + 0.0, np.float64)

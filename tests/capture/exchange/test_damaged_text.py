@@ -86,6 +86,55 @@ incidence_deg,receiving_deg,tilt_deg,X,Y,Z,std_X,std_Y,std_Z,count,valid
 0,-70,-65,18.5,,18.3,0.1,0.1,0.1,3,1
 5,10,0,7,8,9,0.1,0.1,0.1,3,0
 """
+LIGHTTOOLS_BSDF = """# Sample: a card
+Symmetry Asymmetric
+SpectralContent Monochrome
+ScatterAzimuth 2
+0 90
+ScatterRadial 2
+0 10
+DataBegin
+AOI 30
+POI 0
+Side Front
+Wavelength 550
+ScatterType BRDF
+TIS 0.5
+0.4 0.3
+0.4 0.2
+DataEnd
+"""
+SPEOS_BSDF = """OPTIS - Anisotropic BSDF surface file v8.0
+0
+a comment
+6
+a card
+0 1 0
+1 0
+1
+1
+0
+1
+30
+30 0
+
+1
+550 20
+2 2
+\t0 180
+10 0.1 0.2
+20 0.1 0.2
+End of file
+"""
+XML = """<?xml version="1.0" encoding="UTF-8"?>
+<WindowElement xmlns="http://windows.lbl.gov"><Optical><Layer>
+<DataDefinition><IncidentDataStructure>TensorTree3</IncidentDataStructure></DataDefinition>
+<WavelengthData><Wavelength unit="Integral">Visible</Wavelength><WavelengthDataBlock>
+<WavelengthDataDirection>Reflection Back</WavelengthDataDirection>
+<AngleBasis>LBNL/Shirley-Chiu</AngleBasis>
+<ScatteringData>{ {1}{2}{3}{4}{5}{6}{7}{ 1 2 3 4 5 6 7 8 } }</ScatteringData>
+</WavelengthDataBlock></WavelengthData></Layer></Optical></WindowElement>
+"""
 WHOLE = {
     "native": NATIVE,
     "fred": FRED,
@@ -93,6 +142,9 @@ WHOLE = {
     "astm": ASTM,
     "lighttools": LIGHTTOOLS,
     "speos": SPEOS,
+    "lighttools_bsdf": LIGHTTOOLS_BSDF,
+    "speos_bsdf": SPEOS_BSDF,
+    "xml": XML,
 }
 WORDS = b"1e308 -1e308 1e999 nan -inf 1e-320 0 -1 1000000000 1_0 0x10 1.2.3 . 1,5 1,234 #N/A"
 NUMBERS = (*WORDS.split(), b"9" * 30, b"9" * 5000, b"", "²".encode())
