@@ -183,7 +183,7 @@ def _prepared(
         apart = by_directions(m, over_azimuths=True)[1]
         raise InputError(
             f"{path}: {wanted.title} holds isotropic reflection: expected readings at one sample "
-            f"azimuth, or `average`, got {m.azimuths}" + (f"; {apart}" if apart else "")
+            f"azimuth, or `average`, got {m.azimuths}" + (f"; averaged, {apart}" if apart else "")
         )
     over = False
     if m.azimuths > 1 and options.average:

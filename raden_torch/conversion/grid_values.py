@@ -12,6 +12,7 @@ from raden_torch.brdf.fitting.fit import fit
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.capture.exchange.colours import of_model
 from raden_torch.capture.exchange.merl import Cells
+from raden_torch.capture.exchange.polar import percent_apart
 from raden_torch.capture.exchange.scatter_grid import Nodes
 from raden_torch.conversion.evaluation import f_r_at, in_box
 from raden_torch.conversion.options import Conversion, Options
@@ -19,7 +20,6 @@ from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.colour_conversion import xyz_of_f_r
 from raden_torch.measurement.readings import FACTOR_PER_SR, RGB, XYZ
-from raden_torch.reflectance.isotropic import mean_percent
 from raden_torch.reflectance.symmetry import reciprocal
 
 BY_CELLS = "what lies between these directions (MERL's cells are read linearly)"
@@ -184,6 +184,6 @@ def _average(found: GridValues, swapped: Floats) -> None:
         return
     mean = (own[both] + other[both]) / 2
     found.values[both] = mean
-    apart = mean_percent(abs(own[both] - mean), mean)
-    if apart != "0 %":
+    apart = percent_apart(own[both], mean)
+    if apart:
         found.lost.append(f"what is not reciprocal (values lay {apart} off the mean of both ways)")

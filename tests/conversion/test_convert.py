@@ -379,3 +379,32 @@ def test_the_command_says_what_it_did(raden: Callable[..., object], tmp_path: Pa
         assert ran.returncode == 2
         assert message in ran.stderr
         assert ran.stderr.count("\n") == 1
+
+
+def test_real_files_of_other_programs_are_converted(shared: Path, tmp_path: Path) -> None:
+    """Expectation: Zemax's table again to nine digits, but for its zeros; a goniometer's azimuths
+    as one, as its users' scripts write FRED files; its exports as a list."""
+    folder = shared / "data/goniometer_rt300s"
+    source = folder / "ValidationTest_of_TIS_via_BrownVinyl.bsdf"
+    vinyl = rt.load_measurement(source)
+    convert(vinyl, tmp_path / "a.bsdf", Options(to="zemax"))
+    light, view, f = truth.read_zemax(tmp_path / "a.bsdf")
+    light0, view0, f0 = truth.read_zemax(source)
+    near0, near = (np.round(np.hstack([l0, v]), 7) for l0, v in ((light0, view0), (light, view)))
+    known = {tuple(row): value for row, value in zip(near0, f0[:, 0], strict=True)}
+    again = {tuple(row): value for row, value in zip(near, f[:, 0], strict=True) if value}
+    assert len(again) > 600
+    for row, value in again.items():
+        assert abs(value - known[row]) < 1e-8
+    assert "PlaneSymmetrical" in (tmp_path / "a.bsdf").read_text("utf-8")
+    xls = rt.load_measurement(folder / "MagicBlack_v2o0_20250902.xls")
+    with pytest.raises(InputError, match="sample azimuth, or `average`, got 18"):
+        convert(xls, tmp_path / "a.txt", Options(to="fred"))
+    done = convert(xls, tmp_path / "a.txt", Options(to="fred", average=True))
+    assert done.as_read > 1000
+    assert "noise" in done.lost[-1]
+    light, view, f = truth.read_fred(tmp_path / "a.txt")
+    assert ((f >= 0).all(), bool((light[:, 2] > 0).all())) == (True, True)
+    export = rt.load_measurement(folder / "test_speos.rtd")
+    done = convert(export, tmp_path / "a.astm")
+    _check_equal(rt.load_measurement(tmp_path / "a.astm"), by_directions(export)[0])

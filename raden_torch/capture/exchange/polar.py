@@ -20,6 +20,7 @@ from raden_torch.reflectance.grid import distinct
 from raden_torch.reflectance.isotropic import mean_percent
 
 _UPRIGHT = 1e-9  # a sine up to this has no azimuth
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,12 @@ def polar_of(angles_deg: Floats) -> Polar:
     azimuth = np.rad2deg(turn) % 360
     azimuth[(across[0] < _UPRIGHT) | (across[1] < _UPRIGHT)] = 0.0
     return Polar(incidence, scatter, azimuth)
+
+
+def percent_apart(values: Floats, mean: Floats) -> str:
+    """How far values lie off a mean, on average over it, as text; empty where that is rounding."""
+    apart = abs(values - mean)
+    return mean_percent(apart, mean) if apart.sum() > _ROUNDING * abs(mean).sum() else ""
 
 
 def by_directions(
@@ -111,9 +118,9 @@ def by_directions(
         parts.append(f"{int(below.sum())} readings from the horizon")
     if not alone.all():
         row = ~alone[cell]
-        apart = mean_percent(abs(known.values - mean[cell])[row], mean[cell][row])
+        apart = percent_apart(known.values[row], mean[cell][row])
         parts.append(
             f"{int(row.sum())} readings of {int((~alone).sum())} pairs of directions became their "
-            f"means (they lay {apart} off)"
+            f"means ({f'they lay {apart} off' if apart else 'which they equal'})"
         )
     return kept, "; ".join(parts)
