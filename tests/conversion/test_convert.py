@@ -113,11 +113,12 @@ def test_a_file_comes_back(tmp_path: Path, name: str) -> None:
 def _check_equal(back: BrdfMeasurement, m: BrdfMeasurement, rtol: float = 1e-8) -> None:
     """The same readings in any order."""
     assert len(back) == len(m)
-    order = [np.lexsort(np.round(x.angles_deg, 4).T) for x in (back, m)]
+    columns = [np.round(x.angles_deg, 4) for x in (back, m)]
+    turned = [np.zeros(len(m))] * 2
     if m.azimuth_deg is not None:
-        columns = [np.column_stack([np.round(x.angles_deg, 4), x.azimuth_deg]) for x in (back, m)]
-        order = [np.lexsort(c.T) for c in columns]
-        np.testing.assert_allclose(back.azimuth_deg[order[0]], m.azimuth_deg[order[1]], atol=1e-5)
+        turned = [np.round(x.azimuth_deg, 6) % 360 for x in (back, m)]
+    order = [np.lexsort(np.column_stack([c, t]).T) for c, t in zip(columns, turned, strict=True)]
+    np.testing.assert_allclose(turned[0][order[0]], turned[1][order[1]], atol=1e-5)
     np.testing.assert_allclose(back.angles_deg[order[0]], m.angles_deg[order[1]], atol=2e-5)
     np.testing.assert_allclose(back.values[order[0]], m.values[order[1]], rtol=rtol)
 
