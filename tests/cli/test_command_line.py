@@ -47,9 +47,8 @@ def parsed(*words: str) -> dict[str, Any]:
 
 def test_all_commands_are_here() -> None:
     one = [words[0] for words in COMMANDS if len(words) == 1]
-    assert (
-        " ".join(one)
-        == "fit info analyse merge convert plot export verify bench render relight demo scan"
+    assert " ".join(one) == (
+        "fit info analyse merge convert plot export verify bench render relight demo scan"
     )
     steps = [words[1] for words in COMMANDS if len(words) == 2]
     assert " ".join(steps) == "calibrate colour lights normals brdf segment simulate"

@@ -19,6 +19,7 @@ from raden_torch.capture.exchange import (
     rt300s,
     speos,
     speos_bsdf,
+    tensor_file,
     zemax_bsdf,
 )
 from raden_torch.errors import InputError
@@ -36,7 +37,7 @@ _TEXT_FORMATS = (
     astm_e1392,
     radiance_xml,
 )
-_BINARY_FORMATS = (rt300s, merl)
+_BINARY_FORMATS = (rt300s, tensor_file, merl)
 
 
 def recognises(head: bytes) -> bool:
@@ -61,7 +62,8 @@ def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
       (`lighttools_bsdf`) and SPEOS' (`speos_bsdf`),
     - the text form of ASTM E1392 (`astm_e1392`),
     - MERL's table of an isotropic BRDF (`merl`),
-    - WINDOW's and Radiance's XML (`radiance_xml`).
+    - WINDOW's and Radiance's XML (`radiance_xml`),
+    - the tensor file of Mitsuba's and pbrt's measured BSDF (`tensor_file`).
 
     Raises:
         InputError: the file is missing, empty, of no known format, or wrong in itself; the message
