@@ -7,12 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from raden_torch.arrays import Floats, Ints, group_sums
+from raden_torch.errors import InputError
 from raden_torch.reflectance.grid import distinct
 from raden_torch.reflectance.kriging import Kriging
 from raden_torch.reflectance.symmetry import canonical
 
 FLOOR = 10.0
 """A reflectance factor: below it the logarithm turns linear, so that noise is not blown up."""
+MAX_READINGS = 500_000
+"""A fit of a million does not end in minutes; so close to each other they tell kriging less than a
+grid of them."""
 LUMINANCE = 1
 """The channel that errors are told by: Y."""
 
@@ -50,7 +54,15 @@ class LogReadings:
             xyz: `[M, 3]` reflectance factors.
             std: `[M, 3]` of them, which becomes `noise`; 0 where there is none.
             count: `[M]`, the weight of each.
+
+        Raises:
+            InputError: more than `MAX_READINGS`.
         """
+        if len(angles_deg) > MAX_READINGS:
+            raise InputError(
+                f"measurement: expected at most {MAX_READINGS} scattered readings, got "
+                f"{len(angles_deg)}; `raden convert IN OUT.csv --step 5` makes a grid of a MERL file"
+            )
         angles, index = distinct(canonical(angles_deg))
         weight = np.ones(len(xyz)) if count is None else np.maximum(count, 1.0)
         total = np.bincount(index, weight)

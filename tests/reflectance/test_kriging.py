@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.kriging import Kriging
-from raden_torch.reflectance.log_readings import FLOOR, LogReadings
+from raden_torch.reflectance.log_readings import FLOOR, MAX_READINGS, LogReadings
 from raden_torch.reflectance.symmetry import canonical
 
 
@@ -70,3 +71,10 @@ def test_readings_of_one_geometry_become_their_mean() -> None:
     np.testing.assert_allclose(np.exp(found.logs[:, 1]) - FLOOR, [11.5, 50.0])
     variance = np.array([0.2**2 * 10 / 16, 0.2**2]) / (FLOOR + np.array([11.5, 50.0])) ** 2
     np.testing.assert_allclose(found.noise * found.spread, variance)
+
+
+def test_more_readings_than_a_fit_can_take_are_refused() -> None:
+    """Expectation: told at once, with what helps; a MERL file has a million."""
+    many = np.zeros((MAX_READINGS + 1, 3))
+    with pytest.raises(InputError, match=r"at most 500000 scattered readings, got 500001; `raden"):
+        LogReadings.of(many, many)
