@@ -61,7 +61,7 @@ class LogReadings:
         if len(angles_deg) > MAX_READINGS:
             raise InputError(
                 f"measurement: expected at most {MAX_READINGS} scattered readings, got "
-                f"{len(angles_deg)}; `raden convert IN OUT.csv --step 5` makes a grid of a MERL file"
+                f"{len(angles_deg)}; `raden convert IN OUT.csv --step 5` makes a grid of MERL's"
             )
         angles, index = distinct(canonical(angles_deg))
         weight = np.ones(len(xyz)) if count is None else np.maximum(count, 1.0)
