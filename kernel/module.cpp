@@ -15,6 +15,7 @@
 
 #include "pool.h"
 #include "scene.h"
+#include "turned.h"
 
 namespace nb = nanobind;
 using raden::Map;
@@ -50,6 +51,14 @@ raden::ShadeTiles tiles_of(const std::string& level) {
     if (level == "avx2") return raden::shade_tiles_avx2;
 #endif
     return raden::shade_tiles_portable;
+}
+
+raden::ShadeTurnedTiles turned_tiles_of(const std::string& level) {
+#ifdef RADEN_X86
+    if (level == "avx512") return raden::shade_turned_tiles_avx512;
+    if (level == "avx2") return raden::shade_turned_tiles_avx2;
+#endif
+    return raden::shade_turned_tiles_portable;
 }
 
 std::vector<std::string> levels() {
@@ -101,6 +110,25 @@ void run(Scene& scene, const std::string& level, int threads) {
     // waking a thread takes longer than a few pieces
     raden::share_out(count, piece, static_cast<int>(std::min<long>(threads, count / (4 * piece))),
                      [&](long first, long last) { tiles(scene, first, last); });
+}
+
+// 1 over the angle from each azimuth to the next.
+std::vector<float> inverse_gaps(const std::vector<float>& azimuths, float period) {
+    std::vector<float> found;
+    for (std::size_t k = 0; k < azimuths.size(); ++k) {
+        const bool last = k + 1 == azimuths.size();
+        found.push_back(1 / ((last ? azimuths[0] + period : azimuths[k + 1]) - azimuths[k]));
+    }
+    return found;
+}
+
+void run_turned(Scene& scene, raden::Turned& turned, const std::string& level, int threads) {
+    join_rows(scene, turned.tangent);
+    scene.stream = scene.batch * scene.rows * scene.columns > caches;
+    const auto tiles = turned_tiles_of(level);
+    const long count = raden::tile_count(scene);
+    raden::share_out(count, piece, static_cast<int>(std::min<long>(threads, count / (4 * piece))),
+                     [&](long first, long last) { tiles(scene, turned, first, last); });
 }
 
 // Slice k of the tiles adds to sums[k]: the same bits whichever thread takes it.
@@ -205,4 +233,41 @@ NB_MODULE(_kernel, m) {
         nb::arg("view").none(), nb::arg("position").none(), nb::arg("camera").none(), nb::arg("mask").none(), nb::arg("lights"),
         nb::arg("light_count"), nb::arg("size"), nb::arg("image"), nb::arg("level"),
         nb::arg("threads"), "Radiance of a G-buffer under lights into an image [B, 3, H, W].");
+    m.def(
+        "shade_turned",
+        [](TableOf table, WarpOf warp, const std::vector<float>& azimuths, float period, MapOf tangent,
+           MapOf normal, std::optional<MapOf> layers, std::optional<MapOf> view,
+           std::optional<MapOf> position, std::optional<MapOf> camera, std::optional<MapOf> mask,
+           std::int64_t lights, int light_count, std::array<std::int64_t, 3> size,
+           std::int64_t image, const std::string& level, int threads) {
+            Scene s;
+            s.table = as_table(table, warp);
+            s.table.large = true;  // all of them together
+            s.batch = size[0], s.rows = size[1], s.columns = size[2];
+            s.normal = as_map(normal), s.layers = as_map(layers), s.view = as_map(view);
+            s.position = as_map(position), s.camera = as_map(camera), s.mask = as_map(mask);
+            s.lights = reinterpret_cast<const raden::Light*>(lights);
+            s.lit = true;
+            s.light_count = light_count;
+            s.image = reinterpret_cast<float*>(image);
+            raden::Turned turned;
+            turned.tangent = as_map(tangent);
+            turned.azimuths = azimuths.data();
+            turned.count = static_cast<int>(azimuths.size());
+            turned.period = period;
+            const std::vector<float> inverse = inverse_gaps(azimuths, period);
+            turned.inverse = inverse.data();
+            const auto [most, least] = std::minmax_element(inverse.begin(), inverse.end());
+            turned.even = *least - *most < 1e-5f * *most ? *most : 0.0f;
+            turned.nodes = static_cast<float>(table[1] * table[2] * table[3]);
+            nb::gil_scoped_release released;
+            run_turned(s, turned, level, threads);
+        },
+        nb::arg("table"), nb::arg("warp"), nb::arg("azimuths"), nb::arg("period"),
+        nb::arg("tangent"), nb::arg("normal"), nb::arg("layers").none(), nb::arg("view").none(),
+        nb::arg("position").none(), nb::arg("camera").none(), nb::arg("mask").none(),
+        nb::arg("lights"), nb::arg("light_count"), nb::arg("size"), nb::arg("image"),
+        nb::arg("level"), nb::arg("threads"),
+        "Radiance of a G-buffer with tangents under lights into an image [B, 3, H, W]: of tables "
+        "[K, U, V, W, 3] in one piece, one for each azimuth.");
 }

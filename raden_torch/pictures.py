@@ -20,12 +20,15 @@ from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.model_file import load_model
 from raden_torch.brdf.files.shade_file import Shadowed, shade_file
+from raden_torch.brdf.materials.anisotropic import no_tangent, takes_tangent
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.pearl import PEARL, is_pearl, pearl
 from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
 from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.brdf.shading.sphere_gbuffer import average_samples, sphere
+from raden_torch.brdf.shading.triples import Triple, as_map, check_direction
 from raden_torch.errors import InputError
 
 
@@ -53,6 +56,7 @@ def render_shape(
     lights: Sequence[Light] | None = None,
     *,
     camera: tuple[float, float, float] | None = None,
+    tangent: Triple | None = None,
     size: int = 512,
     samples: int = 2,
 ) -> Tensor:
@@ -63,27 +67,47 @@ def render_shape(
 
     Args:
         shape: a key of `SHAPES`, which also has the lights and the camera where none are given.
+        tangent: the direction of azimuth 0 of a model of several; its part in the surface counts.
     """
     if shape not in SHAPES:
         raise InputError(f"shape: expected {', '.join(SHAPES)}, got {shape}")
     if is_pearl(model) and shape != "sphere":
         raise InputError(f"shape: expected sphere for a pearl, got {shape}")
+    _check_tangent(model, shape, tangent)
     view = SHAPES[shape]
     lights, camera = lights or view.lights, camera or view.camera
     with torch.no_grad():
         if shape == "plate":
-            image = shade_plate(model, plate(size, camera, samples=samples), lights)
+            made = plate(size, camera, samples=samples)
+            made = replace(made, shell=_with_tangent(made.shell, tangent))
+            image = shade_plate(model, made, lights)
         elif shape == "board":
             members = model if isinstance(model, Palette) else Palette([model])
             image = shade_materials(members, lights, size, camera=camera, samples=samples)
             samples = 1
         else:
-            ball = sphere(size, camera, samples=samples)
+            ball = _with_tangent(sphere(size, camera, samples=samples), tangent)
             if isinstance(model, Palette):
                 ball = replace(ball, material=_sectors(size * samples, len(model)))
             image = shade(model, ball, lights)
     warn_if_black(image, lights)
     return average_samples(image, samples)
+
+
+def _check_tangent(model: Reflection, shape: str, tangent: Triple | None) -> None:
+    if tangent is None:
+        return
+    check_direction("tangent", tangent)
+    if not takes_tangent(model):
+        raise no_tangent()
+    if shape == "board":
+        raise InputError("shape: expected sphere or plate with a tangent, got board")
+
+
+def _with_tangent(gbuffer: GBuffer, tangent: Triple | None) -> GBuffer:
+    if tangent is None:
+        return gbuffer
+    return replace(gbuffer, tangent=as_map(tangent, gbuffer.normal))
 
 
 def _sectors(size: int, count: int) -> Tensor:
@@ -107,7 +131,9 @@ def render_gbuffer(
     Args:
         shadowed: gives the lights their shadows, as `with_screen_shadows`.
     """
-    gbuffer = read_gbuffer(path, palette=_palette(model), **vars(reading))
+    gbuffer = read_gbuffer(
+        path, palette=_palette(model), turns=takes_tangent(model), **vars(reading)
+    )
     lights = lights or SHAPES["sphere"].lights
     if shadowed is not None:
         lights = shadowed(gbuffer, lights)
@@ -145,7 +171,9 @@ def render_gbuffer_file(
     Returns:
         The exposure in stops: what was asked for, or 0.
     """
-    scene = GBufferFile(path, reading, memory=memory, palette=_palette(model))
+    scene = GBufferFile(
+        path, reading, memory=memory, palette=_palette(model), turns=takes_tangent(model)
+    )
     lamps = lights or SHAPES["sphere"].lights
     shaded = shade_file(
         model, scene, lamps, output, display=display, tolerance=tolerance, shadowed=shadowed

@@ -30,6 +30,7 @@ from raden_torch.brdf.files.image_file import (
 from raden_torch.brdf.files.material_map import nothing_to_choose, read_material
 from raden_torch.brdf.files.model_file import load_model
 from raden_torch.brdf.files.normal_axes import Green
+from raden_torch.brdf.materials.anisotropic import no_tangent, takes_tangent
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.lights import DirectionalLight, Light
@@ -88,7 +89,13 @@ def relight_files(
     known = original if isinstance(original, Path) else None
     check_outputs(*targets, inputs=(*photos, normals, mask, model, known, reading.material))
     loaded = load_model(model)
-    normal = read_normal_map(normals, green, **vars(replace(reading, material=None)))
+    tangent = None
+    if reading.tangent is not None:
+        if not takes_tangent(loaded):
+            raise no_tangent(f"{model}: tangent")
+        tangent = torch.as_tensor(reading.tangent, dtype=torch.float32).view(1, 3, 1, 1)
+    of_normals = replace(reading, material=None, tangent=None)
+    normal = read_normal_map(normals, green, **vars(of_normals))
     coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
     material = _material(loaded, reading.material, normal, coverage)
     for path, target in zip(photos, targets, strict=True):
@@ -98,7 +105,7 @@ def relight_files(
         scene = (loaded, photo.linear, normal, coverage)
         is_linear = target.suffix.lower() == ".exr" or photo.levels is None
         shown = replace(display, tone="srgb") if is_linear else display
-        relit = _relit(scene, material, lights, layout, shown, before)
+        relit = _relit(scene, (material, tangent), lights, layout, shown, before)
         alpha = _alpha_of(photo, path, layout, len(lights))
         made = replace(photo, linear=relit, alpha=alpha)
         write_photograph(made, target, caption_of(loaded), display=display)
@@ -127,13 +134,15 @@ def _material(
 
 def _relit(
     scene: tuple[Reflection, Tensor, Tensor, Tensor],
-    material: Tensor | None,
+    chosen: tuple[Tensor | None, Tensor | None],
     lights: Sequence[Light],
     layout: Layout,
     display: Display,
     original: Sequence[Light] | None,
 ) -> Tensor:
-    """`[1, 3, …]`; the scene is a model, a photograph, normals and a mask, as for `relight`."""
+    """`[1, 3, …]`; the scene is a model, a photograph, normals and a mask, as for `relight`; what
+    is chosen are its material and tangent."""
+    material, tangent = chosen
     gain: Gain | None = 2.0**display.linear_stops
     if isinstance(display.exposure, str):
         gain = None if display.exposure == "auto" else _gain_by_key
@@ -145,10 +154,17 @@ def _relit(
                 gain=gain,
                 original=original,
                 material=material,
+                tangent=tangent,
                 curve=display.curved,
             )
         tiles = relit_under(
-            *scene, lights, gain=gain, original=original, material=material, curve=display.curved
+            *scene,
+            lights,
+            gain=gain,
+            original=original,
+            material=material,
+            tangent=tangent,
+            curve=display.curved,
         )
         if layout == "strip":
             return tiled(tiles, len(lights))

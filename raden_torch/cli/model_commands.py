@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from raden_torch.cli.option_types import Names, Triple, files, output
+from raden_torch.cli.option_types import Names, Triple, files, output, switch
 from raden_torch.cli.status import working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
 
 if TYPE_CHECKING:
+    from raden_torch.brdf.fitting.by_azimuth import AzimuthFit
     from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
     from raden_torch.brdf.fitting.fit import FitResult
     from raden_torch.measurement import BrdfMeasurement
@@ -39,6 +40,7 @@ class FitOptions:
     """readings off the grid, used to choose the interpolation"""
     assume: Literal["isotropic"] | None = None
     """assumed symmetry of the sample: one plane, one view or one side is then enough"""
+    by_azimuth: Annotated[bool, switch("a model that turns: one for each sample azimuth")] = False
     outside: Literal["continued", "diffuse"] = "continued"
     """beyond the measured angles: continue what was measured, or the diffuse formula alone (the
     paper)"""
@@ -128,11 +130,12 @@ def _fitted(
     how: FitOptions,
     *,
     is_one: bool,
-) -> FitResult:
+) -> FitResult | AzimuthFit:
+    from raden_torch.brdf.fitting.by_azimuth import fit_by_azimuth
     from raden_torch.brdf.fitting.fit import fit as fit_model
 
     try:
-        return fit_model(
+        return (fit_by_azimuth if how.by_azimuth else fit_model)(
             measurement,
             diffuse=how.diffuse_part,
             interpolation=how.interpolation,

@@ -55,7 +55,9 @@ class ShapeOptions:
     samples: int | None = None
     """rays per pixel along each side, 2 unless stated; of a scene those at edges"""
 
-    def image(self, model: Reflection, lights: Sequence[Light]) -> Tensor:
+    def image(
+        self, model: Reflection, lights: Sequence[Light], tangent: Triple | None = None
+    ) -> Tensor:
         """`[1, 3, size, size]` scene-linear RGB."""
         from raden_torch.pictures import render_shape
 
@@ -64,6 +66,7 @@ class ShapeOptions:
             self.shape,
             lights,
             camera=self.camera,
+            tangent=tangent,
             size=512 if self.size is None else self.size,
             samples=2 if self.samples is None else self.samples,
         )
@@ -105,7 +108,8 @@ def render(
         exr.check_without_gbuffer()
         with working("rendering"):
             loaded = load_material(model)
-            used = save_picture(shape.image(loaded, lights), output, loaded, display=shown_by)
+            image = shape.image(loaded, lights, exr.tangent)
+            used = save_picture(image, output, loaded, display=shown_by)
     else:
         used = _render_gbuffer(model, gbuffer, output, lights, exr, shape.camera, shown_by)
     print(f"wrote {output} (exposure {used:+.2f} stops)")

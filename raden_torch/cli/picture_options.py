@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from raden_torch.cli.option_types import Bytes, Exposed, Frames, Pairs
+from raden_torch.cli.option_types import Bytes, Exposed, Frames, Pairs, Triple
 from raden_torch.errors import InputError
 
 if TYPE_CHECKING:
@@ -75,6 +75,9 @@ class ExrOptions:
     """the normals' channels that hold x,y,z (right, up, to the viewer), with a minus where one
     points the other way: b,g,r or =r,-g,-b"""
 
+    tangent: Triple | None = None
+    """of a model of several sample azimuths: the direction x,y,z of azimuth 0, of which the part in
+    the surface counts; by default the layer "tangent" of the G-buffer, else the azimuths' mean"""
     material: Path | None = None
     """which material of a palette each pixel shows: an .exr, or a PNG of indices from 0; by default
     the layer "material" of the G-buffer"""
@@ -89,7 +92,7 @@ class ExrOptions:
     @property
     def _fields(self) -> dict[str, Any]:
         own = {"fov_deg": self.fov_deg, "depth": self.depth, "xyz": self.xyz}
-        return {**own, "material": self.material}
+        return {**own, "material": self.material, "tangent": self.tangent}
 
 
 @Parameter(name="*", group=_EXR_FILES)

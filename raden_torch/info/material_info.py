@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.metal import Foil, Powder
 from raden_torch.brdf.materials.palette import Palette
@@ -27,6 +28,14 @@ def describe_material(material: Any) -> str:
 def _lines(material: Any) -> list[str]:
     if isinstance(material, RadenBrdf):
         return describe_model(material).splitlines()
+    if isinstance(material, AnisotropicBrdf):
+        at = ", ".join(f"{x:g}" for x in material.azimuth_deg)
+        each = zip(material.azimuth_deg, material, strict=True)
+        return [
+            f"model of {len(material)} sample azimuths: {at} deg, period "
+            f"{material.period_deg:g} deg; `--tangent` chooses, else their mean",
+            *(line for x, model in each for line in _below(f"{x:g} deg", model)),
+        ]
     if isinstance(material, Coated):
         absorption = ", ".join(f"{x:g}" for x in material.absorption)  # type: ignore[union-attr]
         return [

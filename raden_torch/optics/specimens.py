@@ -12,6 +12,7 @@ texture, fluorescence, light that travels sideways in the shell.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -122,6 +123,7 @@ def simulate_specimen(
     geometries_deg: ArrayLike | None = None,
     spectral: bool = False,
     tablet_scale: float = 1.0,
+    azimuth_deg: Sequence[float] = (),
 ) -> BrdfMeasurement:
     """Measure a simulated shell.
 
@@ -139,6 +141,8 @@ def simulate_specimen(
         spectral: keep the bands 380nm, 385nm, … 780nm in place of X, Y, Z.
         tablet_scale: the tablets' thickness over the specimen's own, 0.7…1.4: another place of the
             same shell, whose colours are shifted (`artwork.cutting` has maps of such places).
+        azimuth_deg: turns of the sample in its own plane, counter-clockwise seen from above; every
+            geometry is read at each. Without, it is read at 0, and the azimuth is not said.
 
     Returns:
         Reflectance factors, the perfect reflecting diffuser = 100; XYZ for D65 and the CIE 1931 2°
@@ -160,7 +164,12 @@ def simulate_specimen(
     tablet_scale = _number(tablet_scale, "tablet_scale", *TABLET_SCALES)
     shell = rescaled(SPECIMENS[name], tablet_scale)
     angles = _grid(step_deg) if geometries_deg is None else _scattered(geometries_deg)
-    values = reflectance_factors(shell, angles, spectral=spectral)
+    azimuth = None
+    if len(azimuth_deg):
+        turns = np.asarray([_number(x, "azimuth_deg", -360.0, 360.0) for x in azimuth_deg])
+        azimuth = np.repeat(turns, len(angles))
+        angles = np.tile(angles, (len(turns), 1))
+    values = reflectance_factors(shell, angles, spectral=spectral, azimuth_deg=azimuth)
     std = noise * np.maximum(values, NOISE_FLOOR) if noise else None
     if std is not None:
         values = values + std * np.random.default_rng(seed).standard_normal(values.shape)
@@ -171,22 +180,33 @@ def simulate_specimen(
         tilt,
         values=values,
         channels=_band_names() if spectral else XYZ,
+        azimuth_deg=azimuth,
         std=std,
         metadata=_metadata(name, noise, seed, tablet_scale),
     )
 
 
-def reflectance_factors(shell: Specimen, angles_deg: Floats, *, spectral: bool = False) -> Floats:
+def reflectance_factors(
+    shell: Specimen,
+    angles_deg: Floats,
+    *,
+    spectral: bool = False,
+    azimuth_deg: Floats | None = None,
+) -> Floats:
     """`[M, channels]` of a shell, the perfect reflecting diffuser = 100: X, Y, Z or `BANDS_NM`.
 
     Args:
         angles_deg: `[M, 3]` incidence, receiving and tilt.
+        azimuth_deg: `[M]`, by which the sample is turned; 0 where None.
     """
     bands_to_values = np.eye(len(BANDS_NM)) if spectral else bands_to_xyz()
     values = np.empty((len(angles_deg), bands_to_values.shape[1]))
     for start in range(0, len(angles_deg), _ROWS_AT_ONCE):
         rows = slice(start, start + _ROWS_AT_ONCE)
-        brdf = brdf_per_sr(shell, *directions(np.radians(angles_deg[rows])))
+        light, view = directions(np.radians(angles_deg[rows]))
+        if azimuth_deg is not None:
+            light, view = (turned(x, -np.radians(azimuth_deg[rows])) for x in (light, view))
+        brdf = brdf_per_sr(shell, light, view)
         values[rows] = FACTOR_PER_SR * brdf @ bands_to_values
     return values
 
@@ -202,6 +222,13 @@ def directions(angles: Floats) -> tuple[Floats, Floats]:
     light = np.stack([-np.sin(a), -np.cos(a) * np.sin(t), np.cos(a) * np.cos(t)], axis=-1)
     view = np.stack([np.sin(r), -np.cos(r) * np.sin(t), np.cos(r) * np.cos(t)], axis=-1)
     return light, view
+
+
+def turned(vectors: Floats, angle: Floats) -> Floats:
+    """`[M, 3]`, each turned about z by its angle `[M]` in radians, counter-clockwise from above."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    c, s = np.cos(angle), np.sin(angle)
+    return np.stack([c * x - s * y, s * x + c * y, z], axis=-1)
 
 
 @cache

@@ -26,6 +26,7 @@ from raden_torch.brdf.files.material_map import MaterialMap, nothing_to_choose
 from raden_torch.brdf.files.normal_check import warn_of_facing, warn_of_normals
 from raden_torch.brdf.files.normal_coding import decoded, has_negative
 from raden_torch.brdf.files.pinhole import Y_UP, pinhole_matrix, rays
+from raden_torch.brdf.files.tangent_layer import TangentLayer
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.shading.depth import (
     FAR,
@@ -43,7 +44,11 @@ from raden_torch.images.exr_layers import Layers
 
 
 def read_gbuffer(
-    path: str | os.PathLike[str], *, palette: Palette | None = None, **reading: Any
+    path: str | os.PathLike[str],
+    *,
+    palette: Palette | None = None,
+    turns: bool = False,
+    **reading: Any,
 ) -> GBuffer:
     """The G-buffer in an EXR file; the frame is that of this module.
 
@@ -54,6 +59,7 @@ def read_gbuffer(
 
     Args:
         palette: of which the pixels' materials are read; None reads none.
+        turns: whether tangents are read, too, where there are some.
         reading: attributes of `GBufferReading`, as in `fov_deg=40`.
 
     Returns:
@@ -69,7 +75,7 @@ def read_gbuffer(
             declared is the distance along the ray, by the shapes that it shows; without `camera`
             and `view`, normals are stored otherwise, by `normal_check`.
     """
-    file = GBufferFile(path, GBufferReading(**reading), palette=palette)
+    file = GBufferFile(path, GBufferReading(**reading), palette=palette, turns=turns)
     gbuffer = file.rows(0, file.size[0])
     if not has_pixels(gbuffer):
         raise file.is_empty()
@@ -88,7 +94,7 @@ class GBufferFile:
     Args:
         memory: bytes that a band may take with all that shading it and writing it needs; where
             None, the whole file is one band.
-        palette: of which the pixels' materials are read; None reads none.
+        palette, turns: as for `read_gbuffer`.
     """
 
     def __init__(
@@ -98,6 +104,7 @@ class GBufferFile:
         *,
         memory: int | None = None,
         palette: Palette | None = None,
+        turns: bool = False,
     ) -> None:
         self.path, self._reading = path, reading
         self._kind, self._axes = depth_kind(reading.depth or "planar"), reading.axes
@@ -114,12 +121,13 @@ class GBufferFile:
         self._surface = layers.vector("surface") if is_tangent else None
         self._tangent = layers.vector("tangent") if is_tangent else None
         self._frame = reading.frame(path, self._file.first)
+        self._turning = TangentLayer(layers, reading, self._frame, self.bands, turns=turns)
         self._matrix = self._pinhole()
         self._check(layers)
 
     def rows(self, top: int, bottom: int) -> GBuffer:
         """The rows from `top` to before `bottom`, a batch of 1 in float32."""
-        maps = (self._normal, self._position, self._surface, self._tangent)
+        maps = (self._normal, self._position, self._surface, self._tangent, self._turning.keys)
         keys = [key for each in (*maps, self._depth, self._mask) for key in each or ()]
         if self._material is not None and self._reading.material is None:
             keys += self._material.keys
@@ -130,6 +138,7 @@ class GBufferFile:
             found = self._from_normals(depth, top, bottom)
         else:
             found = self._from_depth(cast(Tensor, depth))
+        found = replace(found, tangent=self._turning.rows(top, bottom, found.normal))
         if self._material is None:
             return found
         return replace(found, material=self._material.rows(top, bottom, found.mask))

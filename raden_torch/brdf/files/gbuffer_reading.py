@@ -16,7 +16,7 @@ from raden_torch.brdf.files.normal_axes import NormalAxes
 from raden_torch.brdf.files.world_axes import World, one_of
 from raden_torch.brdf.shading.depth import MAX_SMOOTH_PX, depth_kind
 from raden_torch.brdf.shading.lights import Light
-from raden_torch.brdf.shading.triples import Triple
+from raden_torch.brdf.shading.triples import Triple, check_direction
 from raden_torch.errors import InputError
 from raden_torch.images.exr_header import Part
 
@@ -54,6 +54,8 @@ class GBufferReading:
             normals' unless stated.
         world: the renderer's axes: "y-up", "z-up", or "unreal" (z up, left-handed).
         camera_file: JSON that says where the camera stands and looks (`camera_pose.read_pose`).
+        tangent: the direction of the sample's azimuth 0 in every pixel, of which the part in the
+            surface counts; without it the EXR's layer "tangent" says it (`channels`).
 
     Raises:
         InputError: a value out of its range, or both `view` and `camera`.
@@ -72,6 +74,7 @@ class GBufferReading:
     position_space: PositionSpace | None = None
     world: World = "y-up"
     camera_file: Path | None = None
+    tangent: Triple | None = None
 
     def __post_init__(self) -> None:
         if self.view is not None and self.camera is not None:
@@ -80,6 +83,10 @@ class GBufferReading:
             raise InputError(
                 f"smooth_px: expected 0…{MAX_SMOOTH_PX:g} pixels, got {self.smooth_px:g}"
             )
+        if self.tangent is not None:
+            if "tangent" in (self.channels or {}):
+                raise InputError("tangent: expected a direction or a layer, got both")
+            check_direction("tangent", self.tangent)
         depth_kind(self.depth or "planar")
         NormalAxes.of(self.xyz)
         one_of("space", self.space, NormalSpace)

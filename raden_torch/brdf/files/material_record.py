@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from torch import Tensor
 
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.metal import Foil, Powder
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
@@ -30,6 +31,13 @@ class _Model:
     """Which of the models in the file."""
 
     model: int
+
+
+@dataclass
+class _Anisotropic:
+    models: list[int]
+    azimuth_deg: list[float]
+    period_deg: float
 
 
 @dataclass
@@ -73,6 +81,13 @@ class Records:
             if not known:
                 self.models.append(material)
             return {"kind": "model", "model": known[0] if known else len(self.models) - 1}
+        if isinstance(material, AnisotropicBrdf):
+            return {
+                "kind": "AnisotropicBrdf",
+                "models": [self.of(model, where)["model"] for model in material],
+                "azimuth_deg": list(material.azimuth_deg),
+                "period_deg": material.period_deg,
+            }
         if isinstance(material, (Lambertian, Foil)):
             return {"kind": type(material).__name__, **asdict(material)}
         if isinstance(material, Powder) and isinstance(material.density, Tensor):
@@ -87,8 +102,8 @@ class Records:
                     own[part] = self.of(own[part], f"{where}: {part}")
             return {"kind": type(material).__name__, **own}
         raise InputError(
-            f"{where}: expected a RadenBrdf, Coated, Lambertian, Foil or Powder, which a file can "
-            f"hold, got {type(material).__name__}"
+            f"{where}: expected a RadenBrdf, AnisotropicBrdf, Coated, Lambertian, Foil or Powder, "
+            f"which a file can hold, got {type(material).__name__}"
         )
 
 
@@ -120,6 +135,14 @@ def _model(record: Record, models: Mapping[int, Reflection], where: str) -> Refl
     return models[number]
 
 
+def _anisotropic(record: Record, models: Mapping[int, Reflection], where: str) -> Reflection:
+    said = _checked(record, _Anisotropic, where)
+    members = [_model({"model": number}, models, where) for number in said.models]
+    return AnisotropicBrdf(
+        cast(list[RadenBrdf], members), said.azimuth_deg, period_deg=said.period_deg
+    )
+
+
 def _coat(record: Record, models: Mapping[int, Reflection], where: str) -> Reflection:
     said = vars(_checked(record, _Coat, where))
     return Coated(**{**said, "base": material_of(said["base"], models, f"{where}: base")})
@@ -133,6 +156,7 @@ def _powder(record: Record, models: Mapping[int, Reflection], where: str) -> Ref
 
 _KINDS: dict[str, Callable[[Record, Mapping[int, Reflection], str], Reflection]] = {
     "model": _model,
+    "AnisotropicBrdf": _anisotropic,
     "Lambertian": lambda record, _, where: _checked(record, Lambertian, where),
     "Foil": lambda record, _, where: _checked(record, Foil, where),
     "Coated": _coat,

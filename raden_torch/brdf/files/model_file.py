@@ -53,8 +53,8 @@ def save_model(model: Reflection, path: str | os.PathLike[str]) -> None:
     """Write a model, a palette, or another material; `load_model` gives back an equal one.
 
     Args:
-        model: a `RadenBrdf`; or a `Palette`, `Coated`, `Powder`, `Foil` or `Lambertian`, which are
-            kept as what they are made of, models in them included.
+        model: a `RadenBrdf`; or a `Palette`, `AnisotropicBrdf`, `Coated`, `Powder`, `Foil` or
+            `Lambertian`, which are kept as what they are made of, models in them included.
 
     Raises:
         InputError: a suffix other than .safetensors, a place that cannot be written, or a material

@@ -295,5 +295,8 @@ def _common_step(axis: Floats) -> float:
 def _scattered_warning(rgb: BrdfMeasurement) -> str:
     text = f"{len(rgb)} scattered readings were kriged onto a {SCATTERED_STEP_DEG:g} deg table"
     if rgb.azimuths > 1:
-        text += f"; the model knows no sample azimuth and takes all {rgb.azimuths} of them as one"
+        text += (
+            f"; the model knows no sample azimuth and takes all {rgb.azimuths} of them as one "
+            "(`raden fit --by-azimuth` fits each)"
+        )
     return text

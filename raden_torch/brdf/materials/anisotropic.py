@@ -8,37 +8,51 @@ tangent T against it, counter-clockwise seen from above, so
     cos φ ∝ T·(p × N),  sin φ ∝ T·p,
 
 with T's part in the surface. Between the azimuths that were measured f_r is linear in φ.
+
+It is read from one table with a fourth axis, the azimuth (`tables`): two reads a pixel, however
+many azimuths there are. `kernel/turned.h` does the same in one pass.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import cast
+from collections.abc import Iterator, Sequence
+from typing import Any, cast
+from weakref import WeakKeyDictionary
 
 import torch
 from torch import Tensor, nn
 
 from raden_torch import geometry
-from raden_torch.brdf.materials.surface import Surface, reflected
-from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.errors import InputError
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.runtime import RuntimeBrdf
+from raden_torch.brdf.materials.surface import Surface
+from raden_torch.brdf.model.kernel import asks_for_gradient
+from raden_torch.brdf.model.model import RadenBrdf, model_state
+from raden_torch.brdf.model.reflectance_table import trilinear
+from raden_torch.brdf.model.runtime_bake import bake
+from raden_torch.brdf.model.runtime_table import RuntimeLayout, address
+from raden_torch.errors import InputError, check_type
 from raden_torch.geometry import dot
 
 PERIODS = (180.0, 360.0)
+_LEAST_APART_DEG = 0.01
 
 
 class AnisotropicBrdf(nn.Module):
     """Models of one sample at several azimuths, chosen by `GBuffer.tangent`.
 
     Without a tangent it is the mean over the azimuths, as an isotropic model has it. A tangent that
-    is zero, not finite or parallel to the normal marks an invalid pixel: its value is 0. It is
-    evaluated in torch, each model by its own fastest form; the fused frame does not take it.
+    is zero, not finite or parallel to the normal marks an invalid pixel: its value is 0.
 
     Args:
         models: one for each azimuth.
         azimuth_deg: at which the sample stood, distinct within a period.
         period_deg: 360, or 180 of a sample that half a turn leaves as it is.
+
+    Attributes:
+        azimuth_deg: rising, within the period.
+        models: in the same order.
 
     Raises:
         InputError: fewer than two azimuths, not as many models, or two that are one.
@@ -69,20 +83,67 @@ class AnisotropicBrdf(nn.Module):
                 "azimuth_deg: expected two or more azimuths, one for each model, got "
                 f"{len(azimuth_deg)} for {len(models)}"
             )
+        for place, model in enumerate(models):
+            check_type(f"models[{place}]", model, RadenBrdf, "fit(…).model is one")
         turned = [float(x) % period_deg for x in azimuth_deg]
         order = sorted(range(len(turned)), key=turned.__getitem__)
         self.azimuth_deg = tuple(turned[i] for i in order)
-        self.period_deg = period_deg
-        if not all(math.isfinite(x) for x in turned) or len(set(turned)) < len(turned):
+        self.period_deg = float(period_deg)
+        after = (*self.azimuth_deg[1:], self.azimuth_deg[0] + period_deg)
+        gaps = (b - a for a, b in zip(self.azimuth_deg, after, strict=True))
+        if not all(map(math.isfinite, turned)) or not all(gap >= _LEAST_APART_DEG for gap in gaps):
             raise InputError(
                 f"azimuth_deg: expected azimuths that differ within {period_deg:g} degrees, got "
                 f"{', '.join(f'{float(x):g}' for x in azimuth_deg)}"
             )
         self.models = nn.ModuleList(models[i] for i in order)
 
+    def __len__(self) -> int:
+        return len(self.models)
+
+    def __iter__(self) -> Iterator[RadenBrdf]:
+        return iter(cast(Iterator[RadenBrdf], self.models))
+
+    def extra_repr(self) -> str:
+        return f"azimuth_deg={self.azimuth_deg}, period_deg={self.period_deg:g}"
+
     def working_dtype(self, *maps: Tensor) -> torch.dtype:
         """float64 where an input or a model is, else float32."""
         return geometry.working_dtype(*maps, *self.parameters())
+
+    @property
+    def layout(self) -> RuntimeLayout:
+        """The nodes of every table: those of the model that has most."""
+        return max((model.layout for model in self), key=lambda layout: layout.nodes)
+
+    def tables(self) -> Tensor:
+        """`[K, U, V, W, 3]` f_r in 1/sr: the runtime table of each azimuth, in one piece.
+
+        Made anew where a model has changed, and always with gradients.
+        """
+        return self._baked()[0]
+
+    def mean(self) -> RuntimeBrdf:
+        """The mean over the azimuths: what is seen of it where nothing is known of its turn."""
+        return self._baked()[1]
+
+    def _baked(self) -> tuple[Tensor, RuntimeBrdf]:
+        if torch.compiler.is_compiling() or any(asks_for_gradient(model) for model in self):
+            return self._bake()
+        state = tuple(model_state(model) for model in self)
+        known = _kept.get(self)
+        if known is None or known[0] != state:
+            with torch.inference_mode(False), torch.no_grad():
+                known = _kept[self] = (state, *self._bake())
+        return known[1:]
+
+    def _bake(self) -> tuple[Tensor, RuntimeBrdf]:
+        tables = torch.stack([bake(model, self.layout) for model in self])
+        return tables, RuntimeBrdf(tables.mean(0), self.layout)
+
+    def upper_bound(self) -> Tensor:
+        """`[3]`: what |f_r| of each channel cannot exceed in any geometry, in 1/sr."""
+        return self.tables().detach().abs().amax((0, 1, 2, 3))
 
     def forward(
         self, normal: Tensor, light: Tensor, view: Tensor, tangent: Tensor | None = None
@@ -102,34 +163,66 @@ class AnisotropicBrdf(nn.Module):
 
     def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
         """The mean over the azimuths, `[B, 3, H, W]` in 1/sr."""
-        return self.of_surface(Surface(n, v), l)
+        return self.mean().of_unit_vectors(n, l, v)
 
     def of_surface(self, surface: Surface, l: Tensor) -> Tensor:  # noqa: E741
         """f_r in 1/sr for unit (or zero) directions to the light, 0 below the horizon."""
         v = surface.view
         n = surface.normal if surface.layer_normal is None else surface.layer_normal
-        parts = [reflected(cast(RadenBrdf, model), surface, l) for model in self.models]
         if surface.tangent is None:
-            return torch.stack(parts).mean(0)
-        shares = self._shares(n, l, v, surface.tangent)
-        return torch.stack([s * part for s, part in zip(shares, parts, strict=True)]).sum(0)
+            f = self.of_unit_vectors(n, l, v)
+        else:
+            f = self._turned(n, l, v, surface.tangent)
+        if surface.layer_normal is None:
+            return f
+        above = (dot(surface.normal, l) > 0) & (dot(surface.normal, v) > 0)
+        return torch.where(above, f, torch.zeros_like(f))
 
-    def _shares(self, n: Tensor, l: Tensor, v: Tensor, tangent: Tensor) -> list[Tensor]:  # noqa: E741
-        """`[B, 1, H, W]` for each azimuth; they sum to 1, or to 0 where the tangent is invalid."""
+    def _turned(self, n: Tensor, l: Tensor, v: Tensor, tangent: Tensor) -> Tensor:  # noqa: E741
+        tables, shape = self.tables().to(n.dtype), self.layout.shape
+        u, across, along, above = address(self.layout.warp, n, l, v)
         azimuth, valid = sample_azimuth(n, l, v, tangent)
-        at = torch.remainder(azimuth, math.radians(self.period_deg))
+        low, high, share = self._between(azimuth)
+        u, across, along = (
+            (x * (count - 1)).clamp(0, count - 1)
+            for x, count in zip((u, (across + 1) / 2, (along + 1) / 2), shape, strict=True)
+        )
+        flat = tables.flatten(0, 1)  # along u, table after table
+        below, beyond = (
+            trilinear(flat, table.to(u.dtype) * shape[0] + u, across, along)
+            for table in (low, high)
+        )
+        f = below + share * (beyond - below)
+        return torch.where(above & valid, f, torch.zeros_like(f))
+
+    def _between(self, azimuth: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The models below and above an azimuth in radians, by number, and how far it is from the
+        lower one to the upper, 0…1; `[B, 1, H, W]` each."""
         period = math.radians(self.period_deg)
-        nodes = [math.radians(x) for x in self.azimuth_deg]
-        shares = [torch.zeros_like(at) for _ in nodes]
-        for k, low in enumerate(nodes):
-            high = nodes[k + 1] if k + 1 < len(nodes) else nodes[0] + period
-            from_low = torch.remainder(at - low, period)
-            part = from_low / (high - low)
-            inside = valid & (from_low < high - low)
-            after = (k + 1) % len(nodes)
-            shares[k] = shares[k] + torch.where(inside, 1 - part, torch.zeros_like(part))
-            shares[after] = shares[after] + torch.where(inside, part, torch.zeros_like(part))
-        return shares
+        at = torch.remainder(azimuth, period)
+        nodes = at.new_tensor([math.radians(x) for x in self.azimuth_deg])
+        ends = torch.cat([nodes[-1:] - period, nodes, nodes[:1] + period])
+        place = torch.searchsorted(nodes, at.detach().contiguous(), right=True)
+        share = (at - ends[place]) / (ends[place + 1] - ends[place])
+        count = len(nodes)
+        return (place - 1) % count, place % count, share.clamp(0, 1)
+
+
+_kept: WeakKeyDictionary[AnisotropicBrdf, tuple[Any, Tensor, RuntimeBrdf]] = WeakKeyDictionary()
+
+
+def takes_tangent(material: Any) -> bool:
+    """Whether a material, or a member of a palette, turns with `GBuffer.tangent`."""
+    members = material if isinstance(material, Palette) else [material]
+    return any(isinstance(member, AnisotropicBrdf) for member in members)
+
+
+def no_tangent(what: str = "tangent") -> InputError:
+    """What to raise where a tangent is given, and no material turns with it."""
+    return InputError(
+        f"{what}: expected a model of several sample azimuths (`raden fit --by-azimuth`), got one "
+        "that knows no azimuth"
+    )
 
 
 _LEAST_ACROSS = 1e-5

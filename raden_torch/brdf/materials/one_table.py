@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.metal import Foil, Powder
 from raden_torch.brdf.materials.runtime import (
@@ -37,6 +38,11 @@ def one_table(material: Reflection, where: str = "material") -> RuntimeBrdf:
         return RuntimeBrdf(material.values.detach().float(), material.layout)
     if isinstance(material, RadenBrdf):
         return RuntimeBrdf(material.runtime_table().detach().float(), material.layout)
+    if isinstance(material, AnisotropicBrdf):
+        raise InputError(
+            f"{where}: expected a material of three angles, got an AnisotropicBrdf, which turns "
+            "with a tangent; give one azimuth (models[k]) or the mean (mean())"
+        )
     if _has_a_map(material):
         raise InputError(
             f"{where}: density: expected one number, got a map: it belongs to a picture; give "

@@ -219,6 +219,50 @@ def _shade(*arguments: Any) -> Tensor:
     return image
 
 
+def shade_turned(
+    tables: Tensor,
+    warp: tuple[float, float],
+    turns: tuple[Sequence[float], float],
+    tangent: Tensor,
+    maps: Sequence[Tensor | None],
+) -> Tensor:
+    """The radiance of a G-buffer with tangents by the CPU's kernel; `takes_tensors` has to agree
+    first.
+
+    Args:
+        tables: `[K, U, V, W, 3]`, one for each azimuth; K U V W below 2²⁴.
+        turns: the azimuths, rising, and their period, in radians.
+        tangent: `[B, 3, H, W]`, or broadcastable.
+        maps: normal, layers, view, position, camera, mask and lights, as for `shade`.
+    """
+    normal, layers, view, position, camera, mask, lights = maps
+    assert normal is not None
+    assert lights is not None
+    b, h, w = _image_size(normal, layers, view, position, camera, mask, lights)
+    image = torch.empty((b, 3, h, w), dtype=torch.float32, device=_CPU)
+    if image.numel() == 0:
+        return image
+    held = [
+        None if m is None else m.detach().float().expand(b, -1, h, w)
+        for m in (tangent, normal, layers, view, position, _as_map(camera), mask)
+    ]
+    lamps = lights.detach().float().expand(-1, b, -1).contiguous()
+    values = tables.detach().float().contiguous()
+    _kernel.shade_turned(
+        *_runtime_form(values[0], warp),
+        list(turns[0]),
+        turns[1],
+        *(None if m is None else _address(m) for m in held),
+        lamps.data_ptr(),
+        len(lamps),
+        (b, h, w),
+        image.data_ptr(),
+        _level(),
+        torch.get_num_threads(),
+    )
+    return image
+
+
 def _as_map(camera: Tensor | None) -> Tensor | None:
     return None if camera is None else camera[..., None, None]
 

@@ -31,6 +31,7 @@ def relight(
     gain: Gain | None = None,
     original: Sequence[Light] | None = None,
     material: Tensor | None = None,
+    tangent: Tensor | None = None,
     curve: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
     """Replace the masked part of photographs by the model under new lights.
@@ -45,6 +46,7 @@ def relight(
         original: the lights that the photographs were taken under: the photographs' own texture
             (see `texture_of`) is kept then. None leaves the model alone.
         material: of a palette, as in `GBuffer.material`.
+        tangent: of a model of several azimuths, as in `GBuffer.tangent`.
         curve: what the new light goes through before it joins the photograph, which went through a
             camera's.
 
@@ -63,6 +65,7 @@ def relight(
         gain=gain,
         original=original,
         material=material,
+        tangent=tangent,
         curve=curve,
     )[0]
 
@@ -77,6 +80,7 @@ def relit_under(
     gain: Gain | None = None,
     original: Sequence[Light] | None = None,
     material: Tensor | None = None,
+    tangent: Tensor | None = None,
     curve: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
     """`[settings, B, 3, H, W]`: the photographs once under each setting of lights.
@@ -85,7 +89,7 @@ def relit_under(
     """
     _check_sizes(photo, normal, mask)
     mask = coverage(mask).to(photo.dtype)
-    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0), material=material)
+    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0), material=material, tangent=tangent)
     shaded = torch.stack([shade(model, gbuffer, lights) for lights in settings]).to(photo.dtype)
     warn_if_black(shaded, [lamp for s in settings for lamp in ([s] if isinstance(s, Light) else s)])
     if original is not None:

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.metal import Powder
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection, SurfaceReflection
@@ -34,6 +35,7 @@ from raden_torch.brdf.shading.lights import (
 )
 from raden_torch.brdf.shading.surroundings import shade_surroundings
 from raden_torch.brdf.shading.triples import Triple, as_map
+from raden_torch.brdf.shading.turned import shade_turned
 from raden_torch.errors import InputError, check_type
 
 _LAMPS_NAMED = 4
@@ -124,6 +126,8 @@ def _lit(
         return shade_palette(model, gbuffer, lights, partial(_lit, tolerance=tolerance, kept={}))
     if gbuffer.diffuse_gain is not None or gbuffer.specular_gain is not None:
         return _with_gains(model, gbuffer, lights, tolerance, kept)
+    if isinstance(model, AnisotropicBrdf) and gbuffer.tangent is None:
+        model = model.mean()
     if isinstance(model, Powder) and model.varies:
         parts = _by_density(model, gbuffer)
         return sum(_lit(part, cut, lights, tolerance) for part, cut in parts)  # type: ignore[return-value]
@@ -141,8 +145,9 @@ def _lit(
     share = tolerance / max(1, sum(map(bool, (around, shaped, lamps))))
     image = None
     if lamps or not (around or shaped):
-        one_table = _in_one_table(model, gbuffer)
-        if one_table is not None:
+        if isinstance(model, AnisotropicBrdf):
+            image = shade_turned(model, gbuffer, lamps)
+        elif (one_table := _in_one_table(model, gbuffer)) is not None:
             own = None if kept is None else (kept, tuple(id(light) for light in lamps))
             image = _by_kernel(one_table, gbuffer, lamps, share, own)
         if image is None:

@@ -38,6 +38,12 @@ def inverse_square(to_light: Tensor) -> Tensor:
     return torch.where(apart, 1 / torch.where(apart, square, torch.ones_like(square)), 0)
 
 
+def check_direction(where: str, value: Triple) -> None:
+    """Raise InputError unless it is three finite numbers (for each image), not all of them 0."""
+    if bool((checked(where, value) == 0).all(dim=-1).any()):
+        raise InputError(f"{where}: expected a direction, got zero")
+
+
 def checked(where: str, value: Colour, *, may_be_one: bool = False) -> Tensor:
     """A `Triple` as a tensor in double precision on the CPU.
 
