@@ -10,6 +10,7 @@ from torch import Tensor
 
 from raden_torch.artwork.lacquer import Lacquer
 from raden_torch.artwork.motif import inlay
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import RadenBrdf
@@ -93,7 +94,8 @@ def shade_plate(model: Reflection, plate: InlaidPlate, lights: Sequence[Light]) 
 
 def is_simulated_shell(material: Reflection) -> bool:
     """A shell as film optics make it, without a coat."""
-    return isinstance(material, RadenBrdf) and material.provenance.simulated
+    models = material if isinstance(material, AnisotropicBrdf) else [material]
+    return all(isinstance(m, RadenBrdf) and m.provenance.simulated for m in models)
 
 
 def _dome(x: Tensor, y: Tensor) -> Tensor:

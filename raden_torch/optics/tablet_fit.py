@@ -36,11 +36,13 @@ _RIDGE_DEG = 3.0  # receiving − incidence on the ridge
 _LEAST_INCIDENCES, _LEAST_RANGE_DEG = 5, 25.0
 _SEARCH_NM = 3.0
 _TABLET_PER_SHEET = 0.91  # nm of tablet that go for one of sheet, on simulated shells
-# relative, of the thickness and of the spread: what 100 simulated shells were off beyond the
-# noise. Of the spread's, 6 % are the sheets (thicker by 5 nm, they reflect more), 4 % a shell's
-# few stacks, 3 % the table, whose steps broaden its peaks
-_MODEL_STD, _SPREAD_MODEL_STD = 0.0025, 0.10
-_MOST_LEFT = 0.25  # of the colour change, not explained, in a nacre
+PERIOD_MODEL_STD, SPREAD_MODEL_STD = 0.0038, 0.0055
+"""What the estimate is off beyond noise and sheets, relative to the thickness both: that of the
+period, and that of the spread, which is a difference of spreads, not a share of it. The optics are
+averaged over: by maximum likelihood, times Student's t, from simulated shells whose index of the
+sheets, dispersion, loss, number of tablets and spread of the sheets are drawn from their published
+ranges (benchmarks/tablets.py --calibrate)."""
+_MOST_LEFT = 0.5  # of the colour change, not explained, in a nacre; 1.3 and more in what is none
 _LEAST_CHANGE = 0.01  # relative change of colour along the ridge
 _TWO_SIGMA = 1.96
 
@@ -156,9 +158,10 @@ def estimate_tablets(measurement: BrdfMeasurement, *, coat_n: float = 1.53) -> T
     freedom = max(ridge.values.size - len(rows) - 4, 1)
     reduced = chi / freedom
     scaled = max(reduced, 1.0)
-    period_std = float(np.hypot(np.sqrt(covariance[0, 0] * scaled), _MODEL_STD * tablet))
+    period_std = float(np.hypot(np.sqrt(covariance[0, 0] * scaled), PERIOD_MODEL_STD * tablet))
     sheet = _TABLET_PER_SHEET * ORGANIC_STD_NM
     spread = float(np.exp(log_spread))
+    spread_noise = spread * float(np.sqrt(covariance[1, 1] * scaled))
     others = [f[0][0] for f in fits[1:] if (f[1] - chi) / scaled < NEARLY_AS_WELL]
     return TabletEstimate(
         tablet_nm=float(tablet),
@@ -166,7 +169,7 @@ def estimate_tablets(measurement: BrdfMeasurement, *, coat_n: float = 1.53) -> T
         period_nm=float(tablet + ORGANIC_NM),
         period_std_nm=float(np.hypot(period_std, ORGANIC_STD_NM - sheet)),
         spread=spread,
-        spread_std=spread * float(np.hypot(np.sqrt(covariance[1, 1] * scaled), _SPREAD_MODEL_STD)),
+        spread_std=float(np.hypot(spread_noise, SPREAD_MODEL_STD)),
         others_nm=tuple(float(other) for other in others if abs(other - tablet) > 5),
         left=left,
         reduced_chi_squared=float(reduced),
