@@ -206,7 +206,8 @@ def test_the_fused_kernel_is_the_eager_form(uneven, random_vectors, layers, one_
     with torch.no_grad():
         assert torch.equal(rt.shade(uneven, gbuffer, lights), fused)
     if not one_tangent:
-        assert (fused[..., 0, 0] == 0).all()  # parallel to the normal
+        if not layers:  # parallel to the normal that the table is read by
+            assert (fused[..., 0, 0] == 0).all()
         assert (fused[..., 1, 0] == 0).all()  # not a number
 
 
@@ -269,7 +270,8 @@ def two_shells(azimuths: tuple[float, ...], steps: tuple[float, ...]) -> rt.Brdf
 
 def test_azimuths_may_have_other_grids_and_are_read_by_an_encoder() -> None:
     result = fit_by_azimuth(two_shells((359.9, 90.0), (35.0, 17.5)), interpolation="trilinear")
-    assert result.model.azimuth_deg == (90.0, 359.9)
+    assert result.model.azimuth_deg == pytest.approx((90.0, 179.9))
+    assert tuple(result.report.each) == result.model.azimuth_deg
     assert len({model.layout for model in result.model}) == 1
     jitter = two_shells((0.0, 0.1), (35.0, 35.0))
     with pytest.raises(InputError, match="several sample azimuths, got 1"):
@@ -292,6 +294,7 @@ def test_an_azimuth_of_few_readings_is_named() -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 def test_a_shell_of_known_planes_is_found_between_its_azimuths() -> None:
     """Yakogai's planes lean along y: turned by 90 degrees it is seen across them."""
     azimuths = np.arange(8) * 22.5
