@@ -14,7 +14,7 @@ Each repeat is a shell of its own, X, Y, Z and bands by turns, of which the fit 
   ranges only: sheets of 18 or 32 nm and index 1.42 or 1.56, k 2e-4 or 1e-3, 80 or 200 tablets.
 
 `optics/tablet_fit.py` has its errors beyond the noise from literature shells of seed 2026, of the
-repeats that are 0 or 1 modulo 4 (`--seed 2026 --calibrate` prints them); the repeats that are 2 or
+repeats that are 0 or 1 modulo 4 (`--seed 2026 --calibrate --repeats 72`); the repeats that are 2 or
 3 modulo 4, other seeds and the ends test it. Prints the table of docs/accuracy.md and writes
 tablets_SHELLS_SEED.json. 100 repeats take some four minutes.
 """

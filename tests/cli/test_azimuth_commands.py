@@ -123,6 +123,7 @@ def test_a_photograph_is_relit_with_a_tangent(raden: Command, folder: Path, tmp_
         ("export turned.safetensors -o x.wgsl", "got AnisotropicBrdf"),
         ("export turned.safetensors -o x.html", "got AnisotropicBrdf"),
         ("export turned.safetensors -o x.gltf", "got AnisotropicBrdf"),
+        ("export turned.safetensors -o x.osl", "AnisotropicBrdf"),
         ("plot turned.safetensors -o x.png", "got AnisotropicBrdf"),
         ("analyse turned.safetensors", "got AnisotropicBrdf"),
     ],
