@@ -60,7 +60,14 @@ inline Vector3<V> unit(const Vector3<V>& v) {
     return {select(usual, u.x, other.x), select(usual, u.y, other.y), select(usual, u.z, other.z)};
 }
 
-// Where one vector of pixels lies in the runtime table; only lanes above the horizon count.
+// What an address takes of a table, each lane of its own one; named as in `Table`.
+template <class V>
+struct Layouts {
+    V last[3], count[2], warp[2];
+};
+
+// Where one vector of pixels lies in the runtime table; only lanes above the horizon count. The
+// table is one `Table` for all lanes, or `Layouts`.
 template <class V>
 struct Address {
     Vector3<V> d, normal;         // V − L, L × d
@@ -70,7 +77,8 @@ struct Address {
     typename V::Mask apart;
     V u, v, w;
 
-    Address(const Table& table, const Vector3<V>& n, const Vector3<V>& l, const Vector3<V>& view,
+    template <class Layout>
+    Address(const Layout& table, const Vector3<V>& n, const Vector3<V>& l, const Vector3<V>& view,
             const V& n_l, const V& n_v, unsigned lanes) {
         d = {view.x - l.x, view.y - l.y, view.z - l.z};
         normal = cross(l, d);
@@ -105,7 +113,8 @@ template <class V>
 struct Place {
     V low[3], fraction[3];
 
-    Place(const Table& table, const Address<V>& at) {
+    template <class Layout>
+    Place(const Layout& table, const Address<V>& at) {
         const V half[2] = {V(0.5f * table.last[1]), V(0.5f * table.last[2])};
         const V position[3] = {at.u * table.last[0], fma(at.v, half[0], half[0]),
                                fma(at.w, half[1], half[1])};
@@ -115,7 +124,8 @@ struct Place {
         }
     }
 
-    V first(const Table& table) const {
+    template <class Layout>
+    V first(const Layout& table) const {
         return fma(fma(low[0], V(table.count[0]), low[1]), V(table.count[1]), low[2]);
     }
 };

@@ -34,7 +34,16 @@ constexpr long near_caches = 128 * 1024;  // floats of a table
 Map as_map(const std::optional<MapOf>& m) {
     if (!m) return {};
     const auto& [address, batch, channel, row, column] = *m;
-    return {reinterpret_cast<const float*>(address), batch, channel, row, column};
+    return {{batch, channel, row, column}, reinterpret_cast<const float*>(address)};
+}
+
+// (address, 1 or 8 bytes, strides of batch, row, column)
+using IndexOf = std::array<std::int64_t, 5>;
+
+raden::Index as_index(const std::optional<IndexOf>& m) {
+    if (!m) return {};
+    const auto& [address, bytes, batch, row, column] = *m;
+    return {{batch, 0, row, column}, reinterpret_cast<const void*>(address), bytes == 8};
 }
 
 raden::DifferentiateTiles gradient_of(const std::string& level) {
@@ -76,11 +85,14 @@ std::vector<std::string> levels() {
 
 // Rows that follow each other without a gap in every map are one long row, and so is one column.
 void join_rows(Scene& s, Map& further) {
-    Map* const maps[] = {&s.normal, &s.layers, &s.light, &s.view, &s.position, &s.mask, &further};
+    std::vector<raden::Strides*> maps;
+    for (Map* m : {&s.normal, &s.layers, &s.light, &s.view, &s.position, &s.mask, &s.weights, &further})
+        if (m->data) maps.push_back(m);
+    if (s.index.data) maps.push_back(&s.index);
     if (s.columns == 1)
-        for (Map* m : maps) m->column = m->row;
-    for (const Map* m : maps)
-        if (m->data && m->row != m->column * s.columns) return;
+        for (raden::Strides* m : maps) m->column = m->row;
+    for (const raden::Strides* m : maps)
+        if (m->row != m->column * s.columns) return;
     s.columns *= s.rows;
     s.rows = 1;
 }
@@ -101,7 +113,20 @@ raden::Table as_table(const TableOf& from, const WarpOf& warp) {
     return t;
 }
 
+// Several; one at address 0 is none. Together they are large sooner.
+std::vector<raden::Table> as_tables(const std::vector<TableOf>& from, const std::vector<WarpOf>& warps) {
+    std::vector<raden::Table> tables;
+    long floats = 0;
+    for (std::size_t k = 0; k < from.size(); ++k) {
+        tables.push_back(as_table(from[k], warps[k]));
+        floats += tables[k].slab * from[k][1];
+    }
+    for (raden::Table& t : tables) t.large = floats > near_caches;
+    return tables;
+}
+
 void run(Scene& scene, const std::string& level, int threads) {
+    if (!scene.tables) scene.tables = &scene.table, scene.table_count = 1;
     Map none;
     join_rows(scene, none);
     scene.stream = scene.batch * scene.rows * scene.columns > caches;
@@ -207,12 +232,17 @@ NB_MODULE(_kernel, m) {
         "for each slice of the pixels.");
     m.def(
         "shade",
-        [](TableOf table, WarpOf warp, MapOf normal, std::optional<MapOf> layers,
-           std::optional<MapOf> view, std::optional<MapOf> position, std::optional<MapOf> camera, std::optional<MapOf> mask,
-           std::int64_t lights, int light_count, std::array<std::int64_t, 3> size,
-           std::int64_t image, const std::string& level, int threads) {
+        [](const std::vector<TableOf>& tables, const std::vector<WarpOf>& warps, MapOf normal,
+           std::optional<MapOf> layers, std::optional<MapOf> view, std::optional<MapOf> position,
+           std::optional<MapOf> camera, std::optional<MapOf> mask, std::optional<IndexOf> index,
+           std::optional<MapOf> weights, int weight_count, std::int64_t lights, int light_count,
+           std::array<std::int64_t, 3> size, std::int64_t image, const std::string& level,
+           int threads) {
             Scene s;
-            s.table = as_table(table, warp);
+            const std::vector<raden::Table> several = as_tables(tables, warps);
+            s.tables = several.data(), s.table_count = static_cast<int>(several.size());
+            for (const raden::Table& t : several) s.all_tables &= t.values != nullptr;
+            s.index = as_index(index), s.weights = as_map(weights), s.weight_count = weight_count;
             s.batch = size[0], s.rows = size[1], s.columns = size[2];
             s.normal = as_map(normal), s.layers = as_map(layers), s.view = as_map(view);
             s.position = as_map(position);
@@ -229,10 +259,13 @@ NB_MODULE(_kernel, m) {
             nb::gil_scoped_release released;
             run(s, level, threads);
         },
-        nb::arg("table"), nb::arg("warp"), nb::arg("normal"), nb::arg("layers").none(),
-        nb::arg("view").none(), nb::arg("position").none(), nb::arg("camera").none(), nb::arg("mask").none(), nb::arg("lights"),
-        nb::arg("light_count"), nb::arg("size"), nb::arg("image"), nb::arg("level"),
-        nb::arg("threads"), "Radiance of a G-buffer under lights into an image [B, 3, H, W].");
+        nb::arg("tables"), nb::arg("warps"), nb::arg("normal"), nb::arg("layers").none(),
+        nb::arg("view").none(), nb::arg("position").none(), nb::arg("camera").none(),
+        nb::arg("mask").none(), nb::arg("index").none(), nb::arg("weights").none(),
+        nb::arg("weight_count"), nb::arg("lights"), nb::arg("light_count"), nb::arg("size"),
+        nb::arg("image"), nb::arg("level"), nb::arg("threads"),
+        "Radiance of a G-buffer under lights into an image [B, 3, H, W]: of one table, or of several "
+        "by an index or by weights.");
     m.def(
         "shade_turned",
         [](TableOf table, WarpOf warp, const std::vector<float>& azimuths, float period, MapOf tangent,

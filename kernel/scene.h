@@ -1,15 +1,26 @@
 // What one call works on: plain pointers and numbers, no Python and no torch.
 #pragma once
+#include <cstdint>
 
 namespace raden {
 
-// A map [B, C, H, W] of floats; strides count floats, 0 where the map is broadcast.
-struct Map {
-    const float* data = nullptr;
+// Of a map [B, C, H, W]; they count elements, 0 where the map is broadcast.
+struct Strides {
     long batch = 0, channel = 0, row = 0, column = 0;
 };
 
-// f_r at the nodes of the runtime form, [U, V, W, 3] in one piece (runtime_table.py).
+struct Map : Strides {
+    const float* data = nullptr;
+};
+
+// Which table a pixel reads: bytes, or 64-bit integers.
+struct Index : Strides {
+    const void* data = nullptr;
+    bool wide = false;
+};
+
+// f_r at the nodes of the runtime form, [U, V, W, 3] in one piece (runtime_table.py). One of several
+// may be without values: its pixels are not shaded.
 struct Table {
     const float* values = nullptr;
     float last[3] = {0, 0, 0};  // nodes of each axis less one
@@ -18,6 +29,12 @@ struct Table {
     bool large = false;         // does not stay in the near caches
     long row = 0, slab = 0;     // floats from one node of the second, or first, axis to the next
 };
+
+static inline bool same_layout(const Table& a, const Table& b) {
+    for (int k = 0; k < 3; ++k)
+        if (a.last[k] != b.last[k]) return false;
+    return a.warp[0] == b.warp[0] && a.warp[1] == b.warp[1];
+}
 
 enum LightKind { directional = 0, point = 1, spot = 2 };
 
@@ -51,11 +68,18 @@ struct Scene {
     int light_count = 0;
     bool bounded = false;  // by the tiles' positions: some light has an end
     Table table;
+    const Table* tables = nullptr;  // several, of which `index` chooses or `weights` mix
+    int table_count = 0;
+    bool all_tables = true;  // have values
+    Index index;
+    Map weights;           // of at most `most_weights` tables, [B, tables, H, W], or one less: the last table then has the rest to 1
+    int weight_count = 0;  // channels of it
     float* image = nullptr;  // [B, 3, H, W] in one piece
     bool stream = false;     // write past the caches
 };
 
 constexpr int tile_pixels = 64;
+constexpr int most_weights = 32;
 
 // Where a tile's pixels lie in the table: first node and the weights of the nodes around it.
 struct Cells {

@@ -1,7 +1,8 @@
 // Tiles of a material whose reflection turns with the sample: a table for each azimuth, of which a
 // pixel reads two for each light. The reference is materials/anisotropic.py.
 #pragma once
-#include "tile.h"
+#include "light.h"
+#include "table.h"
 
 namespace raden {
 
@@ -179,7 +180,7 @@ struct TurnedTile : Tile<V> {
             V strength = 1.0f;
             const Vector3<V> to = light.kind == directional
                                       ? Vector3<V>{light.at[0], light.at[1], light.at[2]}
-                                      : this->towards(light, this->load(positions, i), strength);
+                                      : towards(light, this->load(positions, i), strength);
             const Vector3<V> normal = this->load(read_by, i), view = this->load(views, i);
             strength = strength * dot(this->load(normals, i), to);
             const V cos_i = dot(normal, to), cos_r = V::load(read_v + i);

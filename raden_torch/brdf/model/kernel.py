@@ -51,13 +51,20 @@ torch.library.define(
     f"(Tensor gradient, Tensor normal, Tensor light, Tensor view, {_TABLE_ARGUMENTS}, "
     "bool[] wanted) -> Tensor[]",
 )
-torch.library.define(
-    "raden_torch::shade",
-    "(Tensor normal, Tensor? layers, Tensor? view, Tensor? position, Tensor? camera, Tensor? mask, "
-    f"Tensor lights, {_TABLE_ARGUMENTS}) -> Tensor",
+_SHADE_ARGUMENTS = (
+    "Tensor normal, Tensor? layers, Tensor? view, Tensor? position, Tensor? camera, Tensor? mask, "
+    "Tensor lights"
 )
 _MAPS = 7
-"""The arguments of `shade` before the table."""
+"""How many these are."""
+torch.library.define(
+    "raden_torch::shade",
+    f"({_SHADE_ARGUMENTS}, {_TABLE_ARGUMENTS}) -> Tensor",
+)
+torch.library.define(
+    "raden_torch::shade_several",
+    f"({_SHADE_ARGUMENTS}, Tensor choice, Tensor?[] tables, float[] warps) -> Tensor",
+)
 
 
 def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
@@ -147,6 +154,27 @@ def shade(
     return torch.ops.raden_torch.shade(*maps, model.runtime_table(), model.layout.warp)
 
 
+def shade_several(
+    models: Sequence[RadenBrdf | None],
+    choice: Tensor,
+    maps: tuple[Tensor | None, ...],
+) -> Tensor:
+    """The radiance of a G-buffer of several models in one pass; `takes` has to agree first, for
+    each, and the maps are on the CPU.
+
+    Args:
+        models: None is 0.
+        choice: `[1 or B, 1, H, W]` integers, which model each pixel shows; one that is beyond them
+            is 0. Or `[1 or B, K, H, W]` weights of 0 or more, one for each model, of which none is
+            None; or one less: the last model has what the others leave of 1.
+        maps: normal, layers, view, position, camera, mask and lights, as `shade` takes them.
+    """
+    # what several models share is one place in memory
+    tables = [None if model is None else model.runtime_table() for model in models]
+    warps = [c for model in models for c in (model.layout.warp if model else (1.0, 1.0))]
+    return torch.ops.raden_torch.shade_several(*maps, choice, tables, warps)
+
+
 def is_transformed(*values: float | Tensor) -> bool:
     """Whether torch.func's transforms or forward-mode differentiation act on one of these."""
     return _within_transform() and any(
@@ -191,11 +219,24 @@ def _brdf(
 
 @torch.library.impl("raden_torch::shade", "CPU")
 def _shade(*arguments: Any) -> Tensor:
-    (normal, layers, view, position, camera, mask, lights), (table, warp) = (
-        arguments[:_MAPS],
-        arguments[_MAPS:],
-    )
-    b, h, w = _image_size(*arguments[:_MAPS])
+    maps, (table, warp) = arguments[:_MAPS], arguments[_MAPS:]
+    return _shade_by(maps, [table], warp, None)
+
+
+@torch.library.impl("raden_torch::shade_several", "CPU")
+def _shade_several(*arguments: Any) -> Tensor:
+    maps, (choice, tables, warps) = arguments[:_MAPS], arguments[_MAPS:]
+    return _shade_by(maps, tables, warps, choice)
+
+
+def _shade_by(
+    arguments: Sequence[Any],
+    tables: Sequence[Tensor | None],
+    warps: Sequence[float],
+    choice: Tensor | None,
+) -> Tensor:
+    normal, layers, view, position, camera, mask, lights = arguments
+    b, h, w = _image_size(*arguments)
     size = (b, 3, h, w)
     image = torch.empty(size, dtype=torch.float32, device=_CPU)
     if image.numel() == 0:
@@ -204,11 +245,16 @@ def _shade(*arguments: Any) -> Tensor:
         None if m is None else m.float().expand(b, -1, h, w)
         for m in (normal, layers, view, position, _as_map(camera), mask)
     ]
+    index, weights = _index_or_weights(choice, size)
     lamps = lights.float().expand(-1, b, -1).contiguous()
-    held = table.detach().float().contiguous()
+    held = [None if t is None else t.detach().float().contiguous() for t in tables]
     _kernel.shade(
-        *_runtime_form(held, warp),
+        [(0, 0, 0, 0) if t is None else (t.data_ptr(), *t.shape[:3]) for t in held],
+        list(zip(warps[::2], warps[1::2], strict=True)),
         *(None if m is None else _address(m) for m in maps),
+        None if index is None else _index_address(index),
+        None if weights is None else _address(weights),
+        0 if weights is None else weights.shape[1],
         lamps.data_ptr(),
         len(lamps),
         (b, h, w),
@@ -261,6 +307,22 @@ def shade_turned(
         torch.get_num_threads(),
     )
     return image
+
+
+def _index_or_weights(
+    choice: Tensor | None, size: tuple[int, ...]
+) -> tuple[Tensor | None, Tensor | None]:
+    if choice is None:
+        return None, None
+    choice = choice.expand(size[0], -1, *size[2:])
+    if choice.is_floating_point():
+        return None, choice.float()
+    return choice if choice.dtype in (torch.uint8, torch.int64) else choice.long(), None
+
+
+def _index_address(index: Tensor) -> tuple[int, ...]:
+    batch, _, row, column = index.stride()
+    return index.data_ptr(), index.element_size(), batch, row, column
 
 
 def _as_map(camera: Tensor | None) -> Tensor | None:
@@ -383,6 +445,7 @@ torch.library.impl("raden_torch::brdf_backward", "CUDA", _brdf_backward_in_trito
 torch.library.register_fake("raden_torch::brdf", _brdf_shape)
 torch.library.register_fake("raden_torch::brdf_backward", _brdf_backward_shape)
 torch.library.register_fake("raden_torch::shade", _shade_shape)
+torch.library.register_fake("raden_torch::shade_several", _shade_shape)
 torch.library.register_autograd("raden_torch::brdf", _gradient, setup_context=_keep_inputs)
 
 
