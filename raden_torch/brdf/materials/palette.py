@@ -111,8 +111,8 @@ class Palette(nn.Module):
         *,
         where: str = "GBuffer material",
         first_row: int = 0,
-    ) -> None:
-        """Raise InputError, in one line, unless a G-buffer's `material` fits this palette.
+    ) -> tuple[int, int]:
+        """The first and the last member that a G-buffer's `material` may show.
 
         Args:
             material: `[B, 1, H, W]` integers, or `[B, K, H, W]` weights, which sum to 1 within
@@ -120,6 +120,9 @@ class Palette(nn.Module):
             mask: `[B, 1, H, W]`; where it is 0, the material does not matter.
             where: of what the messages speak.
             first_row: the number of the first row, for messages.
+
+        Raises:
+            InputError: it does not fit this palette, in one line.
         """
         if not material.is_floating_point():
             low, high = self._range_of(material)
@@ -130,7 +133,7 @@ class Palette(nn.Module):
                     f"{where}: expected indices 0…{len(self) - 1} of the palette "
                     f"({', '.join(self.names)}), got {low if low < 0 else high}"
                 )
-            return
+            return low, high
         if material.shape[1] != len(self):
             raise InputError(
                 f"{where}: expected {len(self)} weights a pixel, one for each of "
@@ -148,3 +151,4 @@ class Palette(nn.Module):
                 f"{where}: expected weights of 0 or more that sum to 1, got {found} in image {b}, "
                 f"row {first_row + y}, column {x}"
             )
+        return 0, len(self) - 1

@@ -42,6 +42,9 @@ LARGEST_SUMS = 2**28
 FIXED_SLICES = 8
 """Of the pixels, each with a sum and a thread of its own, where torch has to be deterministic."""
 
+MOST_WEIGHTS = 32
+"""So many models `shade_several` mixes (`most_weights` in kernel/scene.h)."""
+
 _TABLE_ARGUMENTS = "Tensor table, float[] warp"
 torch.library.define(
     "raden_torch::brdf", f"(Tensor normal, Tensor light, Tensor view, {_TABLE_ARGUMENTS}) -> Tensor"

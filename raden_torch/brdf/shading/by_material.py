@@ -1,14 +1,14 @@
-"""Shading with a palette: the pixels of each material are gathered, lit and put back.
-
-A material sees a row of pixels, so its own fastest way of shading is taken, whatever it is, and
-where it is not, nothing is computed. Images that show one material alone are shaded as they are.
-"""
+"""Shading with a palette: all that has a table in one pass of the fused kernel, which takes each
+pixel's own. What has none is gathered: the pixels of each material are lit as a row of their own,
+by the fastest form that it has, and put back. So it is with gradients, on a GPU, and under lights
+that the kernel does not know."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
-from typing import TypeVar
+from functools import partial
+from typing import cast
 
 import numpy as np
 import torch
@@ -17,41 +17,79 @@ from torch import Tensor
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
+from raden_torch.brdf.shading.fused import in_one_table, is_lamp, shade_several
 from raden_torch.brdf.shading.gbuffer import GBuffer
+from raden_torch.brdf.shading.lights import Light
 
 _MAPS = (
     *("normal", "view", "position", "mask", "layer_normal", "tangent"),
     *("diffuse_gain", "specular_gain"),
 )
-_L = TypeVar("_L")
 _NO_MATERIAL = 255
 """Beyond the indices of a palette of so many members."""
 _LOOKED_FOR = 8
 """So many materials are looked for one by one; more are sorted."""
 
 
+Shade = Callable[[Reflection, GBuffer, Sequence[Light], float], Tensor]
+"""Shades one material, within a tolerance."""
+
+
 def shade_palette(
-    palette: Palette,
-    gbuffer: GBuffer,
-    lights: Sequence[_L],
-    shade: Callable[[Reflection, GBuffer, Sequence[_L]], Tensor],
+    palette: Palette, gbuffer: GBuffer, lights: Sequence[Light], tolerance: float, shade: Shade
 ) -> Tensor:
     """The image of a palette, `[B, 3, H, W]`.
-
-    Args:
-        lights: dataclasses whose tensors `[B, 3]` are one for each image.
-        shade: shades one material.
 
     Raises:
         InputError: the G-buffer's `material` does not fit the palette.
     """
-    b, _, h, w = gbuffer.normal.shape
     material = gbuffer.material
+    plain = replace(gbuffer, material=None)
     if material is None:
         if len(palette) > 1:
             palette.of_unit_vectors(gbuffer.normal, gbuffer.normal, gbuffer.normal)
-        return shade(palette[0], replace(gbuffer, material=None), lights)
-    palette.check_material(material, gbuffer.mask)
+        return shade(palette[0], plain, lights, tolerance)
+    low, high = palette.check_material(material, gbuffer.mask)
+    dtype = palette.working_dtype(gbuffer.normal)
+    if low == high and not material.is_floating_point():
+        return shade(palette[low], plain, lights, tolerance).to(dtype)
+    lamps = [light for light in lights if is_lamp(light)]
+    others = [light for light in lights if not is_lamp(light)]
+    share = tolerance / (2 if lamps and others else 1)
+    image = None
+    has_gains = gbuffer.diffuse_gain is not None or gbuffer.specular_gain is not None
+    if (lamps or not others) and dtype == torch.float32 and not has_gains:
+        tables = [
+            in_one_table(model, plain) if low <= place <= high else None
+            for place, model in enumerate(palette)
+        ]
+        image = shade_several(tables, material, plain, lamps, share)
+    if image is None:
+        return _gathering(palette, gbuffer, lights, partial(_with_tolerance, shade, tolerance))
+    gathering = partial(_with_tolerance, shade, share)
+    if None in tables[low : high + 1]:
+        rest = torch.tensor([table is None for table in tables])
+        shown = rest[material.long().clamp(0, len(palette) - 1)]
+        mask = shown if gbuffer.mask is None else gbuffer.mask * shown
+        image = image + _gathering(palette, replace(gbuffer, mask=mask), lamps, gathering)
+    return image + _gathering(palette, gbuffer, others, gathering) if others else image
+
+
+def _with_tolerance(
+    shade: Shade, tolerance: float, model: Reflection, gbuffer: GBuffer, lights: Sequence[Light]
+) -> Tensor:
+    return shade(model, gbuffer, lights, tolerance)
+
+
+def _gathering(
+    palette: Palette,
+    gbuffer: GBuffer,
+    lights: Sequence[Light],
+    shade: Callable[[Reflection, GBuffer, Sequence[Light]], Tensor],
+) -> Tensor:
+    """The image of each material's pixels by themselves, in rows."""
+    b, _, h, w = gbuffer.normal.shape
+    material = cast(Tensor, gbuffer.material)
     dtype = palette.working_dtype(gbuffer.normal)
     image = gbuffer.normal.new_zeros((b, 3, h * w), dtype=dtype)
     chosen = _small(material, len(palette)).expand(b, -1, h, w).reshape(b, -1, h * w)
@@ -173,12 +211,12 @@ def _is_row(value: object) -> bool:
     return isinstance(value, Tensor) and value.ndim == 4 and value.shape[-1] > 1
 
 
-def _of_image(light: _L, image: int, batch: int) -> _L:
+def _of_image(light: Light, image: int, batch: int) -> Light:
     """A light for one image of a batch."""
     if isinstance(light, (DistantLamps, EnvironmentLight)):  # the same for every image
         return light
-    values = {f.name: _triple_of(getattr(light, f.name), image, batch) for f in fields(light)}  # type: ignore[arg-type]
-    return replace(light, **values)  # type: ignore[type-var]
+    values = {f.name: _triple_of(getattr(light, f.name), image, batch) for f in fields(light)}
+    return replace(light, **values)  # type: ignore[arg-type]
 
 
 def _triple_of(value: object, image: int, batch: int) -> object:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from numbers import Real
-from typing import cast, get_args
+from typing import Any, cast, get_args
 
 import torch
 from torch import Tensor
 
-from raden_torch import geometry
 from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.metal import Powder
 from raden_torch.brdf.materials.palette import Palette
-from raden_torch.brdf.materials.surface import Reflection, SurfaceReflection
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.parts import parts_of
@@ -25,16 +24,17 @@ from raden_torch.brdf.shading.area_lights import AreaLight
 from raden_torch.brdf.shading.by_material import shade_palette
 from raden_torch.brdf.shading.eager import is_recorded, maps_of, masked, shade_eagerly, surface_of
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
-from raden_torch.brdf.shading.from_afar import lamps_from_afar, surroundings_from_afar
-from raden_torch.brdf.shading.gbuffer import GBuffer
-from raden_torch.brdf.shading.lights import (
-    DirectionalLight,
-    KernelLight,
-    Light,
-    packed,
+from raden_torch.brdf.shading.from_afar import surroundings_from_afar
+from raden_torch.brdf.shading.fused import (
+    floating,
+    in_one_table,
+    is_lamp,
+    shade_one,
+    shade_several,
 )
+from raden_torch.brdf.shading.gbuffer import GBuffer
+from raden_torch.brdf.shading.lights import DirectionalLight, Light
 from raden_torch.brdf.shading.surroundings import shade_surroundings
-from raden_torch.brdf.shading.triples import Triple, as_map
 from raden_torch.brdf.shading.turned import shade_turned
 from raden_torch.errors import InputError, check_type
 
@@ -122,15 +122,14 @@ def _lit(
     Args:
         kept: where the materials of a palette keep what `packed` makes of their lights.
     """
-    if isinstance(model, Palette):
-        return shade_palette(model, gbuffer, lights, partial(_lit, tolerance=tolerance, kept={}))
-    if gbuffer.diffuse_gain is not None or gbuffer.specular_gain is not None:
+    if _takes_gains(model, gbuffer):
         return _with_gains(model, gbuffer, lights, tolerance, kept)
     if isinstance(model, AnisotropicBrdf) and gbuffer.tangent is None:
         model = model.mean()
+    if isinstance(model, Palette):
+        return shade_palette(model, gbuffer, lights, tolerance, partial(_lit, kept={}))
     if isinstance(model, Powder) and model.varies:
-        parts = _by_density(model, gbuffer)
-        return sum(_lit(part, cut, lights, tolerance) for part, cut in parts)  # type: ignore[return-value]
+        return _sprinkled(model, gbuffer, lights, tolerance)
     if type(model) is RadenBrdf:
         model.check_device(gbuffer.normal)
     around: list[EnvironmentLight] = []
@@ -147,9 +146,9 @@ def _lit(
     if lamps or not (around or shaped):
         if isinstance(model, AnisotropicBrdf):
             image = shade_turned(model, gbuffer, lamps)
-        elif (one_table := _in_one_table(model, gbuffer)) is not None:
+        elif (one_table := in_one_table(model, gbuffer)) is not None:
             own = None if kept is None else (kept, tuple(id(light) for light in lamps))
-            image = _by_kernel(one_table, gbuffer, lamps, share, own)
+            image = shade_one(one_table, gbuffer, lamps, share, own)
         if image is None:
             image = shade_eagerly(model, gbuffer, lamps, share)
     if shaped:
@@ -159,6 +158,19 @@ def _lit(
         found = _under_surroundings(model, gbuffer, around, share)
         image = found if image is None else image + found
     return cast(Tensor, image)
+
+
+def _takes_gains(model: Reflection, gbuffer: GBuffer) -> bool:
+    """Whether there are gains, and they may be a factor on the whole or on all parts."""
+    body, beyond = gbuffer.diffuse_gain, gbuffer.specular_gain
+    if body is None and beyond is None:
+        return False
+    # of a palette of other members, each that is shown is asked
+    return body is beyond or not isinstance(model, Palette) or _is_measured(model)
+
+
+def _is_measured(palette: Palette) -> bool:
+    return all(type(model) is RadenBrdf and None not in parts_of(model) for model in palette)
 
 
 def _with_gains(
@@ -174,13 +186,18 @@ def _with_gains(
     if body is beyond:
         whole = _lit(model, plain, lights, tolerance, kept)
         return whole * cast(Tensor, body).to(whole)
-    if type(model) is not RadenBrdf:
+    if isinstance(model, Palette):
+        both = zip(*(parts_of(cast(RadenBrdf, m)) for m in model), strict=True)
+        parts: Iterable[Reflection | None] = [Palette(cast(Any, each)) for each in both]
+    elif type(model) is RadenBrdf:
+        parts = parts_of(model)
+    else:
         raise InputError(
             "GBuffer diffuse_gain, specular_gain: expected a RadenBrdf, which has the two parts, "
             f"got {type(model).__name__}; one tensor as both is a gain on the whole"
         )
     image = None
-    for part, gain in zip(parts_of(model), (body, beyond), strict=True):
+    for part, gain in zip(parts, (body, beyond), strict=True):
         if part is None:
             continue
         most = 1.0 if gain is None or not gain.numel() else max(float(gain.detach().amax()), 1.0)
@@ -190,9 +207,11 @@ def _with_gains(
     return _lit(model, plain, [], 0.0) if image is None else image
 
 
-def _by_density(powder: Powder, gbuffer: GBuffer) -> list[tuple[Reflection, GBuffer]]:
-    """Flakes and ground of a powder whose density is a map, each with its share of the mask, so
-    that each is shaded by its own table, and only where it shows.
+def _sprinkled(
+    powder: Powder, gbuffer: GBuffer, lights: Sequence[Light], tolerance: float
+) -> Tensor:
+    """The image of a powder whose density is a map: flakes and ground in one pass where both have a
+    table, else each with its share of the mask, so that it is computed only where it shows.
 
     Raises:
         InputError: a map of another size.
@@ -206,11 +225,16 @@ def _by_density(powder: Powder, gbuffer: GBuffer) -> list[tuple[Reflection, GBuf
             f"{list(density.shape)}; in a palette, give flakes and ground, and their weights"
         )
     share = density.to(gbuffer.normal.device, powder.working_dtype(gbuffer.normal))
+    if all(map(is_lamp, lights)):
+        tables = [in_one_table(part, gbuffer) for part in (powder.flakes, powder.ground)]
+        image = shade_several(tables, share, gbuffer, lights, tolerance)
+        if image is not None:
+            return image
     mask = 1.0 if gbuffer.mask is None else torch.nan_to_num(gbuffer.mask.to(share), nan=0.0)
-    return [
-        (part, replace(gbuffer, mask=own * mask))
-        for part, own in ((powder.flakes, share), (powder.ground, 1 - share))
-    ]
+    parts = ((powder.flakes, share), (powder.ground, 1 - share))
+    return sum(  # type: ignore[return-value]
+        _lit(part, replace(gbuffer, mask=own * mask), lights, tolerance) for part, own in parts
+    )
 
 
 def _is_prefiltered(model: Reflection, gbuffer: GBuffer, light: EnvironmentLight) -> bool:
@@ -232,7 +256,7 @@ def _under_surroundings(
     """The image under environments, prefiltered, but for those that may be left out."""
     if tolerance > 0 and hasattr(model, "upper_bound"):
         lights = _that_matter(lights, model.upper_bound(), tolerance)
-    view, mask = gbuffer.view, _floating(gbuffer.mask)
+    view, mask = gbuffer.view, floating(gbuffer.mask)
     if isinstance(view, Tensor) and type(model) is RadenBrdf:
         found = surroundings_from_afar(model, gbuffer.normal, mask, view, lights)
         if found is not None:
@@ -243,10 +267,6 @@ def _under_surroundings(
     for light in lights:
         image = image + shade_surroundings(model, surface.normal, surface.view, light)
     return masked(image.to(surface.normal.dtype), gbuffer.mask)
-
-
-def _floating(mask: Tensor | None) -> Tensor | None:
-    return mask if mask is None or mask.is_floating_point() else mask.to(torch.float32)
 
 
 def _that_matter(
@@ -289,16 +309,6 @@ def checked_visibility(light: Light, gbuffer: GBuffer) -> Tensor:
     return torch.nan_to_num(seen.float(), nan=0.0).clamp(0, 1)
 
 
-def _in_one_table(model: Reflection, gbuffer: GBuffer) -> RadenBrdf | None:
-    """What the fused kernel can read: a `RadenBrdf`, or a baked material, which is read as one."""
-    if type(model) is RadenBrdf:
-        return model
-    if gbuffer.layer_normal is not None and isinstance(model, SurfaceReflection):
-        return None  # what has layers and a surface of its own
-    baked = getattr(model, "runtime_brdf", None)
-    return None if baked is None else cast(RadenBrdf | None, baked())
-
-
 def warn_if_black(image: Tensor, lights: Sequence[Light]) -> None:
     """Warn where lights leave a whole image black: most often a lamp below the horizon.
 
@@ -333,48 +343,3 @@ def _at(light: Light) -> str:
         return ""
     place = light.direction if isinstance(light, DirectionalLight) else light.position
     return ",".join(f"{x:g}" for x in torch.as_tensor(place).flatten().tolist()[:3])
-
-
-def _by_kernel(
-    model: RadenBrdf,
-    gbuffer: GBuffer,
-    lights: list[Light],
-    tolerance: float,
-    kept: tuple[dict[tuple[int, ...], Tensor], tuple[int, ...]] | None = None,
-) -> Tensor | None:
-    """The fused kernel's image, or None where the eager form has to do it.
-
-    Args:
-        kept: where packed lights are kept, and by what key.
-    """
-    if is_recorded(model, gbuffer, *lights):
-        return None
-    lights = [x.kept_lamps() if isinstance(x, EnvironmentLight) else x for x in lights]
-    known = [light for light in lights if isinstance(light, KernelLight)]
-    if len(known) < len(lights):
-        return None
-    normal, position, mask = gbuffer.normal, gbuffer.position, gbuffer.mask
-    layers = gbuffer.layer_normal
-    view = gbuffer.view if isinstance(gbuffer.view, Tensor) else None
-    camera = None if view is not None else as_map(cast(Triple, gbuffer.camera), normal)[..., 0, 0]
-    floating = _floating(mask)
-    # one half for the lights that are left out, one for the lit sphere
-    trades = tolerance > 0 and normal.device.type in ("cpu", "cuda")
-    may_be_lost = tolerance / 2 / model.upper_bound() if trades else 0.0
-    if kept is None or trades:
-        lamps = packed(known, position, normal, may_be_lost)
-    else:
-        found, key = kept
-        if key not in found:
-            found[key] = packed(known, position, normal)
-        lamps = found[key]
-    inputs = (normal, layers, view, position, camera, floating, lamps)
-    if not kernel.takes(model, *inputs):
-        return None
-    for lamp in lamps[:1]:
-        geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
-    if trades and view is not None and layers is None and normal.device.type == "cpu":
-        sphere = lamps_from_afar(model, normal, view, lights, lamps, tolerance / 2)
-        if sphere is not None:
-            return kernel.look_up(sphere, normal, floating)
-    return kernel.shade(model, normal, view, position, camera, floating, lamps, layers)
