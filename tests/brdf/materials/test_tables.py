@@ -107,7 +107,12 @@ def test_metals_are_shaded_by_the_fused_kernel(name: str, monkeypatch) -> None:
     torch.testing.assert_close(found.double(), exact, rtol=1e-3, atol=1e-5)
 
 
-def test_a_map_of_powder_is_the_mean_of_two_images() -> None:
+def test_a_map_of_powder_is_the_mean_of_two_images(monkeypatch) -> None:
+    """In one pass of the kernel, where it was built."""
+    from raden_torch.brdf.model import kernel
+
+    calls, several = [], kernel.shade_several
+    monkeypatch.setattr(kernel, "shade_several", lambda *a: (calls.append(a), several(*a))[1])
     gbuffer, lights = frame()
     density = torch.linspace(-0.3, 1.3, 70).clamp(0, 1).expand(1, 1, 20, 70).clone()
     mask = (torch.rand(1, 1, 20, 70, generator=torch.Generator().manual_seed(1)) > 0.4).float()
@@ -120,6 +125,7 @@ def test_a_map_of_powder_is_the_mean_of_two_images() -> None:
     torch.testing.assert_close(
         one, rt.shade(Powder(flakes, ground, 0.25), gbuffer, lights), rtol=0.02, atol=1e-4
     )
+    assert len(calls) == (3 if simd.LEVELS else 0)
 
 
 def test_the_gradient_of_a_map_of_powder_is_the_difference() -> None:

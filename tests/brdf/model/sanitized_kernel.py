@@ -26,8 +26,10 @@ import raden_torch.brdf  # noqa: E402
 raden_torch.brdf._kernel = module
 
 from raden_torch.brdf.model import simd  # noqa: E402
+from raden_torch.brdf.model.kernel import shade_several  # noqa: E402
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable  # noqa: E402
 from raden_torch.brdf.model.runtime_table import RuntimeLayout  # noqa: E402
+from raden_torch.brdf.shading.lights import KernelLight, packed  # noqa: E402
 from raden_torch.brdf.shading.stress_geometries import regions  # noqa: E402
 
 SHAPES = ((1, 1), (1, 7), (3, 64), (2, 65), (5, 131), (130, 1), (33, 33))
@@ -74,8 +76,26 @@ def calls(model: rt.RadenBrdf, size: tuple[int, int]) -> None:
                 rt.shade(model, buffer, lights)
                 rt.shade(model, buffer, lights, tolerance=0.01)
                 rt.shade(model, replace(buffer, layer_normal=maps[1]), lights)
+                if share in (None, 0.1):
+                    several(model, buffer, lights)
         leaves = [m.detach().requires_grad_() for m in maps[:3]]
         model(*leaves).sum().backward()
+
+
+def several(model: rt.RadenBrdf, buffer: rt.GBuffer, lights: list[KernelLight]) -> None:
+    """An index that may be of no table or far beyond them, and weights, in several strides."""
+    b, _, h, w = buffer.normal.shape
+    position = buffer.position
+    lamps = packed(lights, position, buffer.normal)
+    maps = (buffer.normal, None, buffer.view, position, None, buffer.mask, lamps)
+    other = rt.RadenBrdf(None, model.table, layout=RuntimeLayout((4, 3, 6), (0.7, 0.2)))
+    for high in (2, 300):
+        for index in layouts(torch.randint(-high // 100, high, (b, 1, h, w))):
+            shade_several([model, other, None], index, maps)
+            shade_several([model, other], index.to(torch.uint8), maps)
+    for weights in layouts(torch.rand(b, 2, h, w) - 0.2):
+        shade_several([other, model], weights, maps)
+        shade_several([other, model], weights[:, :1], maps)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import copy
+from typing import Any
+
 import pytest
 import torch
 
 import raden_torch as rt
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
+from raden_torch.brdf.materials.metal import Foil
 from raden_torch.brdf.materials.palette import Palette
-from raden_torch.brdf.shading.environment import DistantLamps
+from raden_torch.brdf.model import kernel, simd
+from raden_torch.brdf.shading.area_lights import SphereLight
+from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.errors import InputError
 
 
@@ -40,8 +47,15 @@ LIGHTS = (
 )
 
 
+@pytest.mark.parametrize("recorded", [False, True])
 @pytest.mark.parametrize("layers", [False, True])
-def test_each_pixel_is_that_of_its_material_alone(shells, dtype, layers):
+def test_each_pixel_is_that_of_its_material_alone(shells, dtype, layers, recorded):
+    """In one pass, and gathered, as gradients take it."""
+    with torch.set_grad_enabled(recorded):
+        check_each_pixel(shells, dtype, layers)
+
+
+def check_each_pixel(shells: list[rt.RadenBrdf], dtype: torch.dtype, layers: bool) -> None:
     maps = scene(dtype)
     camera = torch.tensor([[0.0, 0.0, 4.0], [1.0, 0.0, 4.0]], dtype=dtype)
     common = {"position": maps["position"], "camera": camera, "mask": maps["mask"]}
@@ -93,6 +107,75 @@ def test_each_image_of_a_batch_has_its_own_lamps(shells, batch):
             image = rt.shade(Palette(shells[:2]), gbuffer, light)
             alone = [rt.shade(s, rt.GBuffer(normal, (0, 0, 1)), light) for s in shells[:2]]
             torch.testing.assert_close(image, torch.where(index == 0, *alone))
+
+
+@pytest.fixture
+def passes(monkeypatch: pytest.MonkeyPatch) -> list[list[Any]]:
+    """The models of each pass over several tables."""
+    found, one = [], kernel.shade_several
+    monkeypatch.setattr(kernel, "shade_several", lambda *a: (found.append(a[0]), one(*a))[1])
+    return found
+
+
+def test_what_has_no_table_is_shaded_beside_what_has(shells, passes):
+    """And so is all under lights that the kernel does not know."""
+    turned = AnisotropicBrdf(shells[:2], (0, 90))
+    members = [shells[0], turned, Foil("gold")]
+    maps = scene()
+    sky = EnvironmentLight(torch.rand(3, 8, 16, generator=torch.Generator().manual_seed(0)))
+    window = SphereLight((0.0, 0.0, 5.0), 1.0)
+    lights = [*LIGHTS, sky, window]
+    common = {"position": maps["position"], "camera": (0.0, 0.0, 4.0), "mask": maps["mask"]}
+    gbuffer = rt.GBuffer(maps["normal"], material=maps["index"], **common)
+    with torch.no_grad():
+        image = rt.shade(Palette(members), gbuffer, lights)
+        alone = [rt.shade(m, rt.GBuffer(maps["normal"], **common), lights) for m in members]
+    wanted = torch.stack(alone).gather(0, maps["index"].expand_as(image)[None])[0]
+    # an environment is sampled otherwise where there are fewer pixels
+    torch.testing.assert_close(image, wanted, rtol=0.05, atol=0.02)
+    with torch.no_grad():
+        lamps = rt.shade(Palette(members), gbuffer, LIGHTS)
+        alone = [rt.shade(m, rt.GBuffer(maps["normal"], **common), LIGHTS) for m in members]
+    wanted = torch.stack(alone).gather(0, maps["index"].expand_as(image)[None])[0]
+    torch.testing.assert_close(lamps, wanted)
+    if simd.LEVELS:
+        assert [[m is None for m in each] for each in passes] == 2 * [[False, True, False]]
+
+
+def test_gains_of_both_parts_take_two_passes(shells, passes):
+    maps = scene()
+    draw = torch.Generator().manual_seed(5)
+    gains = {k: torch.rand(2, 1, 9, 11, generator=draw) for k in ("diffuse_gain", "specular_gain")}
+    common = {"view": (0.0, 0.0, 1.0), "mask": maps["mask"], **gains}
+    with torch.no_grad():
+        image = rt.shade(
+            Palette(shells), rt.GBuffer(maps["normal"], material=maps["index"], **common), LIGHTS[1]
+        )
+        alone = [rt.shade(s, rt.GBuffer(maps["normal"], **common), LIGHTS[1]) for s in shells]
+    wanted = torch.stack(alone).gather(0, maps["index"].expand_as(image)[None])[0]
+    torch.testing.assert_close(image, wanted)
+    assert len(passes) == (2 if simd.LEVELS else 0)
+
+
+def test_a_tolerance_holds_for_the_brightest_member(shells, passes):
+    """Rationale: a lamp that a dark material may do without can be seen on a bright one. Expected:
+    within the tolerance everywhere, and something left out."""
+    bright = copy.deepcopy(shells[0]).requires_grad_(False)
+    bright.diffuse_gain = bright.specular_gain = 20.0
+    members = Palette([shells[1], bright])
+    maps = scene()
+    strong = rt.PointLight((0.0, 0.0, 3.0), 3.0)
+    lights = [strong, *(rt.PointLight((x, 0.0, 3.0), 2e-3 * x) for x in range(1, 9))]
+    gbuffer = rt.GBuffer(
+        maps["normal"], position=maps["position"], camera=(0, 0, 4), material=maps["index"] % 2
+    )
+    with torch.no_grad():
+        exact = rt.shade(members, gbuffer, lights)
+        tolerance = 0.05 * float(exact.max())
+        found = rt.shade(members, gbuffer, lights, tolerance=tolerance)
+    assert not torch.equal(found, exact)
+    assert (found - exact).abs().max() <= tolerance
+    assert len(passes) == (2 if simd.LEVELS else 0)
 
 
 def test_masked_pixels_may_hold_any_index(shells):
