@@ -72,7 +72,8 @@ struct Scene {
     int table_count = 0;
     bool all_tables = true;  // have values
     Index index;
-    Map weights;           // of at most `most_weights` tables, [B, tables, H, W], or one less: the last table then has the rest to 1
+    // [B, tables, H, W] of at most `most_weights` tables, or one less: the last has the rest to 1
+    Map weights;
     int weight_count = 0;  // channels of it
     float* image = nullptr;  // [B, 3, H, W] in one piece
     bool stream = false;     // write past the caches
