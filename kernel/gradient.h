@@ -32,16 +32,28 @@ struct GradientTile : Tile<V> {
     static Vector3<V> before_normalising(const Vector3<V>& g, const Vector3<V>& of,
                                          const Vector3<V>& raw, const typename V::Mask& valid) {
         const V along = dot(g, of);
+        const V square = dot(raw, raw);
+        const auto usual = both(V(1e-30f) < square, square < 1e30f);
+        if (bits(usual) == all_lanes(square)) {
+            const V shrink = select(valid, V(1.0f) / root(square), 0.0f);
+            return scaled({fnma(along, of.x, g.x), fnma(along, of.y, g.y), fnma(along, of.z, g.z)},
+                          shrink, valid);
+        }
         const V largest = greatest(greatest(magnitude(raw.x), magnitude(raw.y)), magnitude(raw.z));
         const V by = select(valid, greatest(largest, tiny), 1.0f);
         const Vector3<V> s{raw.x / by, raw.y / by, raw.z / by};
         const V shrink = select(valid, V(1.0f) / (greatest(root(dot(s, s)), tiny) * by), 0.0f);
+        return scaled({fnma(along, of.x, g.x), fnma(along, of.y, g.y), fnma(along, of.z, g.z)}, shrink,
+                      valid);
+    }
+
+    // v · by; 0 where that is not finite, and in other lanes.
+    static Vector3<V> scaled(const Vector3<V>& v, const V& by, const typename V::Mask& lanes) {
         const auto finite = [&](const V& x) {
-            const V y = x * shrink;
-            return select(both(valid, magnitude(y) <= FLT_MAX), y, 0.0f);
+            const V y = x * by;
+            return select(both(lanes, magnitude(y) <= FLT_MAX), y, 0.0f);
         };
-        return {finite(fnma(along, of.x, g.x)), finite(fnma(along, of.y, g.y)),
-                finite(fnma(along, of.z, g.z))};
+        return {finite(v.x), finite(v.y), finite(v.z)};
     }
 
     void write(float* map, int g, const Vector3<V>& v) const {
@@ -52,7 +64,7 @@ struct GradientTile : Tile<V> {
             float* to = map + ((this->image * 3 + c) * scene.rows + this->row) * scene.columns +
                         this->first + i;
             if (i + V::lanes <= count) {
-                parts[c].store(to);
+                Tile<V>::write(parts[c], to);
             } else if (i < count) {
                 alignas(64) float lane[V::lanes];
                 parts[c].store(lane);
@@ -79,38 +91,42 @@ struct GradientTile : Tile<V> {
         V change[3];
         for (int c = 0; c < 3; ++c) change[c] = select(above, V::load(changes[c] + i), 0.0f);
         const Address<V> at(table, n, l, v, cos_i, cos_r, lanes);
-        V by_address[3];
-        read_table(g, lanes, Place<V>(table, at), change, by_address);
+        const Place<V> place(table, at);
+        Visit visit;
+        for (int c = 0; c < 3; ++c) {
+            change[c].store(visit.change[c]);
+            place.fraction[c].store(visit.at[c]);
+        }
+        place.first(table).store_int(cells.first + i);
+        if (slice.table)
+            for (unsigned left = lanes; left != 0; left &= left - 1) {
+                const int k = lowest(left);
+                add_to_nodes(change[0], table, cells.first[i + k], visit, k, slice.table);
+            }
         if (!wanted.normal && !wanted.light && !wanted.view) return;
+        V by_address[3];
+        differentiate_address(g, lanes, visit, by_address);
         Vector3<V> to_n, to_l, to_v;
         along_vectors(at, n, l, v, cos_i, cos_r, lanes, by_address, to_n, to_l, to_v);
-        write(wanted.normal, g, before_normalising(to_n, n, raw_n, above));
-        write(wanted.light, g, before_normalising(to_l, l, raw_l, above));
-        write(wanted.view, g, before_normalising(to_v, v, raw_v, above));
+        if (wanted.normal) write(wanted.normal, g, before_normalising(to_n, n, raw_n, above));
+        if (wanted.light) write(wanted.light, g, before_normalising(to_l, l, raw_l, above));
+        if (wanted.view) write(wanted.view, g, before_normalising(to_v, v, raw_v, above));
     }
 
-    // The slopes of Σ g f along u, v, w; and the table's own gradient.
-    void read_table(int g, unsigned lanes, const Place<V>& place, const V change[3],
-                    V by_address[3]) {
+    // The slopes of Σ g f along u, v and w.
+    void differentiate_address(int g, unsigned lanes, const Visit& visit, V by_address[3]) {
         const Table& table = scene.table;
         const int i = g * V::lanes;
-        place.first(table).store_int(cells.first + i);
-        alignas(64) float g_of[3][V::lanes], at[3][V::lanes], out[3][V::lanes];
-        for (int c = 0; c < 3; ++c) {
-            change[c].store(g_of[c]);
-            place.fraction[c].store(at[c]);
-        }
+        float* slopes = this->rgb;
         for (int k = 0; k < V::lanes; ++k) {
-            float slopes[3] = {0, 0, 0};
-            if (lanes >> k & 1) {
-                const float gk[3] = {g_of[0][k], g_of[1][k], g_of[2][k]};
-                const float where[3] = {at[0][k], at[1][k], at[2][k]};
-                visit_nodes(change[0], table, 3L * cells.first[i + k], slice.table, gk, where, slopes);
-            }
-            for (int c = 0; c < 3; ++c) out[c][k] = slopes[c];
+            if (lanes >> k & 1)
+                slopes_at(by_address[0], table, cells.first[i + k], visit, k, slopes + 4 * k);
+            else
+                for (int c = 0; c < 4; ++c) slopes[4 * k + c] = 0.0f;
         }
+        planes(slopes, by_address[0], by_address[1], by_address[2]);
         const float per_node[3] = {table.last[0], 0.5f * table.last[1], 0.5f * table.last[2]};
-        for (int c = 0; c < 3; ++c) by_address[c] = V::load(out[c]) * per_node[c];
+        for (int c = 0; c < 3; ++c) by_address[c] = by_address[c] * per_node[c];
     }
 
     static Vector3<V> sum(const V& a, const Vector3<V>& x, const V& b, const Vector3<V>& y) {
@@ -132,16 +148,20 @@ struct GradientTile : Tile<V> {
         const V by_y = across * c * at.delta * at.lower, by_z = along * k * at.delta * at.middle;
         const V pull = V(0.0f) - across * c * at.y, lean = V(0.0f) - along * k * at.z;
         const V by_lower = pull * at.delta, by_middle = lean * at.delta;
-        const V by_delta = fma(pull, at.lower, lean * at.middle) +
-                           by_address[0] * 2.0f / (at.opposite * (at.opposite + 2.0f));
+        const V opposite = at.opposite * (at.opposite + 2.0f);
+        const V by_delta_over_delta =
+            fma(fma(pull, at.lower, lean * at.middle), opposite, by_address[0] * 2.0f) /
+            (opposite * at.delta);
         const auto light_is_lower = n_l < n_v;
         const V by_n_l = by_middle + select(light_is_lower, by_lower, 0.0f);
         const V by_n_v = by_middle + select(light_is_lower, V(0.0f), by_lower);
         to_n = added(added(sum(by_y, at.d, by_z, at.normal), by_n_l, l), by_n_v, v);
-        const Vector3<V> to_d = added(sum(by_y, n, by_z, cross(n, l)), by_delta / at.delta, at.d);
+        const bool all_apart = (bits(at.apart) & lanes) == lanes;
+        if (all_apart && !wanted.light && !wanted.view) return;
+        const Vector3<V> to_d = added(sum(by_y, n, by_z, cross(n, l)), by_delta_over_delta, at.d);
         to_l = added(added(sum(by_n_l, n, V(-1.0f), to_d), by_z, cross(at.d, n)), V(0.0f), n);
         to_v = added(to_d, by_n_v, n);
-        if ((bits(at.apart) & lanes) == lanes) return;
+        if (all_apart) return;
         // L ∥ V: Y = sin θ and δ = 1; the two cosines are one
         const auto askew = V(0.0f) < at.y;
         const V turn = select(askew, by_y * n_l / select(askew, at.y, 1.0f), 0.0f);
@@ -174,6 +194,7 @@ void differentiate_tiles(const Scene& scene, const Gradient& wanted, const Slice
         tile.select_pixels();
         tile.differentiate();
     }
+    V::fence();
 }
 
 }  // namespace raden

@@ -162,7 +162,9 @@ void differentiate(Scene& scene, raden::Gradient& wanted, float* sums, int slice
     join_rows(scene, wanted.image);
     const auto tiles = gradient_of(level);
     const long count = raden::tile_count(scene);
-    const long floats = scene.table.slab * (static_cast<long>(scene.table.last[0]) + 1);
+    scene.stream = scene.batch * scene.rows * scene.columns > caches;
+    const long floats =
+        raden::sum_floats * (scene.table.slab / 3) * (static_cast<long>(scene.table.last[0]) + 1);
     raden::share_out(slices, 1, slices, [&](long first, long last) {
         for (long k = first; k < last; ++k)
             tiles(scene, wanted,
@@ -228,8 +230,8 @@ NB_MODULE(_kernel, m) {
             nb::gil_scoped_release released;
             differentiate(s, wanted, reinterpret_cast<float*>(sums), slices, level);
         },
-        "The gradient of `reflect`: into maps [B, 3, H, W] (0 for none), and into one table (or 0) "
-        "for each slice of the pixels.");
+        "The gradient of `reflect`: into maps [B, 3, H, W] (0 for none), and added to one table "
+        "[U, V, W, 4] (0 for none; the last channel stays 0) for each slice of the pixels.");
     m.def(
         "shade",
         [](const std::vector<TableOf>& tables, const std::vector<WarpOf>& warps, MapOf normal,

@@ -98,10 +98,18 @@ struct Gradient {
     float *normal = nullptr, *light = nullptr, *view = nullptr;
 };
 
+constexpr int sum_floats = 4;  // of a node's sums: three channels and one that stays 0
+
 // A run of tiles with sums of its own, so that no two threads add to the same number.
 struct Slice {
     long first_tile = 0, last_tile = 0;
-    float* table = nullptr;  // like the table, or null
+    float* table = nullptr;  // [U, V, W, sum_floats], or null
+};
+
+// What one vector of pixels asks of the nodes around each: the gradient of its colour, and where
+// it lies between the nodes along u, v and w.
+struct Visit {
+    alignas(64) float change[3][16], at[3][16];
 };
 
 // One per instruction set; the same template, compiled with other flags.

@@ -60,9 +60,14 @@ inline void fetch(const Avx512&, const Cells& cells, int i, const Table& table, 
     fetch_avx2(cells, i, table, rgb);
 }
 
-inline void visit_nodes(const Avx512&, const Table& table, long first, float* sums, const float g[3],
-                        const float at[3], float slopes[3]) {
-    visit_avx2(table, first, sums, g, at, slopes);
+inline void slopes_at(const Avx512&, const Table& table, long node, const Visit& visit, int i,
+                      float* slopes) {
+    slopes_avx2(table, node, visit, i, slopes);
+}
+
+inline void add_to_nodes(const Avx512&, const Table& table, long node, const Visit& visit, int i,
+                         float* sums) {
+    add_avx2(table, node, visit, i, sums);
 }
 
 }  // namespace raden

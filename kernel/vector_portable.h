@@ -92,16 +92,14 @@ inline void fetch(P, const Cells& cells, int i, const Table& table, float* rgb) 
     }
 }
 
-// The eight nodes around one pixel: the slopes of g·table along the axes, in nodes; and into `sums`
-// (like the table, or null) what a change g of the pixel gives to each of them.
-inline void visit_nodes(P, const Table& table, long first, float* sums, const float g[3],
-                        const float at[3], float slopes[3]) {
+// The slopes of g·table along the three axes, in nodes, at pixel i of a vector.
+inline void slopes_at(P, const Table& table, long node, const Visit& visit, int i, float* slopes) {
     const long corners[4] = {0, table.row, table.slab, table.slab + table.row};
-    const float x = at[0], y = at[1], z = at[2];
-    const float across[4] = {(1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y};
+    const float g[3] = {visit.change[0][i], visit.change[1][i], visit.change[2][i]};
+    const float x = visit.at[0][i], y = visit.at[1][i], z = visit.at[2][i];
     float near[4], far[4], line[4];
     for (int j = 0; j < 4; ++j) {
-        const float* p = table.values + first + corners[j];
+        const float* p = table.values + 3 * node + corners[j];
         near[j] = g[0] * p[0] + g[1] * p[1] + g[2] * p[2];
         far[j] = g[0] * p[3] + g[1] * p[4] + g[2] * p[5];
         line[j] = near[j] + z * (far[j] - near[j]);
@@ -109,14 +107,24 @@ inline void visit_nodes(P, const Table& table, long first, float* sums, const fl
     const float low = line[0] + y * (line[1] - line[0]), high = line[2] + y * (line[3] - line[2]);
     slopes[0] = high - low;
     slopes[1] = (1 - x) * (line[1] - line[0]) + x * (line[3] - line[2]);
-    slopes[2] = 0;
-    for (int j = 0; j < 4; ++j) slopes[2] += across[j] * (far[j] - near[j]);
-    if (!sums) return;
-    const float six[6] = {(1 - z) * g[0], (1 - z) * g[1], (1 - z) * g[2],
-                          z * g[0],       z * g[1],       z * g[2]};
+    slopes[2] = (1 - x) * ((1 - y) * (far[0] - near[0]) + y * (far[1] - near[1])) +
+                x * ((1 - y) * (far[2] - near[2]) + y * (far[3] - near[3]));
+    slopes[3] = 0;
+}
+
+// What a change g of pixel i gives to each of the eight nodes around it.
+inline void add_to_nodes(P, const Table& table, long node, const Visit& visit, int i, float* sums) {
+    const long row = sum_floats * (table.row / 3), slab = sum_floats * (table.slab / 3);
+    const float x = visit.at[0][i], y = visit.at[1][i], z = visit.at[2][i];
+    const float across[4] = {(1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y};
+    const long corners[4] = {0, row, slab, slab + row};
     for (int j = 0; j < 4; ++j) {
-        float* q = sums + first + corners[j];
-        for (int c = 0; c < 6; ++c) q[c] += across[j] * six[c];
+        float* q = sums + sum_floats * node + corners[j];
+        for (int c = 0; c < 3; ++c) {
+            const float g = across[j] * visit.change[c][i];
+            q[c] += (1 - z) * g;
+            q[sum_floats + c] += z * g;
+        }
     }
 }
 

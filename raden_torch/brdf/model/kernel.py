@@ -12,6 +12,7 @@ the model light by light), so that `torch.compile` and `torch.export` see one no
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,9 @@ FIXED_SLICES = 8
 
 MOST_WEIGHTS = 32
 """So many models `shade_several` mixes (`most_weights` in kernel/scene.h)."""
+
+_SUM_CHANNELS = 4
+"""Of a node's sums: three, and one that makes them as wide as the processor's registers."""
 
 _TABLE_ARGUMENTS = "Tensor table, float[] warp"
 torch.library.define(
@@ -79,7 +83,7 @@ def takes(model: RadenBrdf, *inputs: Tensor | None) -> bool:
 
 def takes_tensors(*tensors: Tensor | None) -> bool:
     """Whether the kernel can stand in for the eager form: maps and what is behind the table."""
-    if torch.onnx.is_in_onnx_export() or _within_transform():
+    if torch.onnx.is_in_onnx_export() or within_transform():
         return False
     given = [t for t in tensors if t is not None]
     device = given[0].device
@@ -180,7 +184,7 @@ def shade_several(
 
 def is_transformed(*values: float | Tensor) -> bool:
     """Whether torch.func's transforms or forward-mode differentiation act on one of these."""
-    return _within_transform() and any(
+    return within_transform() and any(
         isinstance(x, Tensor)
         and (
             torch._C._functorch.is_functorch_wrapped_tensor(x)
@@ -190,7 +194,7 @@ def is_transformed(*values: float | Tensor) -> bool:
     )
 
 
-def _within_transform() -> bool:
+def within_transform() -> bool:
     """Within torch.func's transforms or forward-mode differentiation."""
     if torch.compiler.is_compiling():
         return False
@@ -411,14 +415,15 @@ def _brdf_backward(gradient: Tensor, *arguments: Any) -> list[Tensor]:
     broadcast = [_four_dimensions(m.float().expand(shape)) for m in (gradient, *inputs[:3])]
     b, _, h, w = broadcast[0].shape
     full = [
-        torch.zeros(shape if want else 0, dtype=torch.float32, device=_CPU) for want in wanted[:3]
+        torch.empty(shape if want else 0, dtype=torch.float32, device=_CPU) for want in wanted[:3]
     ]
     table = inputs[3].detach().float().contiguous()
     in_any = torch.are_deterministic_algorithms_enabled()  # the same bits by any number of threads
     slices = max(1, min(FIXED_SLICES if in_any else torch.get_num_threads(), b * h * w // 4096))
+    node_sums = (*table.shape[:3], _SUM_CHANNELS)
     if wanted[3]:
-        slices = max(1, min(slices, LARGEST_SUMS // (4 * table.numel())))
-    sums = torch.zeros((slices, *table.shape) if wanted[3] else 0, dtype=torch.float32, device=_CPU)
+        slices = max(1, min(slices, LARGEST_SUMS // (4 * math.prod(node_sums))))
+    sums = torch.zeros((slices, *node_sums) if wanted[3] else 0, dtype=torch.float32, device=_CPU)
     if gradient.numel() > 0:
         _kernel.differentiate(
             *_runtime_form(table, warp),
@@ -429,9 +434,10 @@ def _brdf_backward(gradient: Tensor, *arguments: Any) -> list[Tensor]:
             slices,
             _level(),
         )
+    of_table = sums.sum(0)[..., :3].contiguous() if wanted[3] else sums
     return [
         g.sum_to_size(x.shape).to(x.dtype)
-        for g, x, want in zip((*full, sums.sum(0)), inputs, wanted, strict=True)
+        for g, x, want in zip((*full, of_table), inputs, wanted, strict=True)
         if want
     ]
 

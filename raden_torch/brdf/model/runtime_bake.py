@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from raden_torch.brdf.model.balance import balanced
 from raden_torch.brdf.model.diffuse import diffuse
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable, corners
 from raden_torch.brdf.model.runtime_table import RuntimeLayout, node_angles
@@ -37,8 +38,6 @@ torch.library.define(
 _CUTS = 5
 _DIFFERENTIABLE = 3
 """The first arguments, which have a gradient: table, scale, exponent."""
-_MOST_BALANCE = 0.05
-"""By what share of its value `balanced` may change a node."""
 _DEVICES = ("CPU", "CUDA", "XPU", "MPS")
 
 
@@ -178,7 +177,8 @@ def _bake(
     # where torch has no sparse matrices, the CPU does it
     device = like.device if like.device.type in ("cpu", "cuda") else torch.device("cpu")
     channels = like.shape[-1]
-    f = torch.zeros(*layout.shape, channels, dtype=dtype, device=device)
+    shape_of_f = (*layout.shape, channels)
+    f = torch.zeros((), dtype=dtype, device=device).expand(shape_of_f)
     weight, is_whole = None, False
     if table is not None and specular_gain != 0:
         pieces: Any = tuple(tuple(int(n) for n in c[:, 1].tolist()) for c in cuts) or None
@@ -195,14 +195,18 @@ def _bake(
         rows = table.to(device, dtype).reshape(-1, channels)
         nodes_of = _node_map(source)
         weight, is_whole = nodes_of.weight.reshape(*layout.shape, 1), nodes_of.is_whole
-        total = _Linear.apply(rows, source, False).reshape(f.shape)
-        f = specular_gain * balanced(weight * total)
+        cancels = is_whole and not isinstance(specular_gain, Tensor)
+        cancels = cancels and diffuse_gain == specular_gain
+        if cancels and scale is not None and exponent is not None:
+            rows = rows + 0 * (scale.sum() + exponent.sum()).to(rows)  # so their gradient is 0
+            scale = exponent = None
+        total = _Linear.apply(rows, source, False).reshape(shape_of_f)
+        f = balanced(total if is_whole else weight * total)
+        if isinstance(specular_gain, Tensor) or specular_gain != 1:
+            f = specular_gain * f
     if scale is None or exponent is None:
         return f.to(like.device)
     # the two terms are balanced one by one, so that eq. (2) stays linear in its gains
-    if is_whole and not isinstance(specular_gain, Tensor) and diffuse_gain == specular_gain:
-        f = f + 0 * (scale.sum() + exponent.sum()).to(f)  # it cancels; so its gradient is 0
-        return f.to(like.device)
     a, r, t = (angle.flatten()[None, :, None] for angle in node_angles(layout, device))
     part = diffuse(a, r, t, scale.to(device).double(), exponent.to(device).double())
     body = part[:, :, 0].T.to(dtype).reshape(f.shape)
@@ -210,24 +214,6 @@ def _bake(
     if weight is not None:
         f = f - specular_gain * balanced(body if is_whole else weight * body)
     return f.to(like.device)
-
-
-def balanced(values: Tensor) -> Tensor:
-    """Nodes `[U, V, W, C]` that make the mean between them right instead of the nodes themselves.
-
-    A chord lies above a function of second difference D, on average by D/12 of that axis: taking
-    this off each node is to second order the least-squares fit, whose RMS error is 0.41 of the
-    chord's. Beside a highlight narrower than the nodes are apart D says nothing: no value changes
-    by more than 5 %, and none its sign.
-    """
-    total = torch.zeros_like(values)
-    for axis, count in enumerate(values.shape[:3]):
-        before, here, after = (values.narrow(axis, first, count - 2) for first in range(3))
-        second = before - 2 * here + after
-        ends = torch.zeros_like(values.narrow(axis, 0, 1))
-        total = total + torch.cat([ends, second, ends], axis)
-    most = _MOST_BALANCE * values.abs()
-    return values - torch.clamp(total / 12, -most, most)
 
 
 @torch.library.impl("raden_torch::bake", _DEVICES)
