@@ -53,9 +53,7 @@ class _Balanced(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
         (values, sign), (gradient,) = ctx.saved_tensors, gradients
         if torch.is_grad_enabled():  # somebody wants the gradient of the gradient
-            (found,) = torch.autograd.grad(
-                _balanced(values), values, gradient, create_graph=True
-            )
+            (found,) = torch.autograd.grad(_balanced(values), values, gradient, create_graph=True)
             return found
         within = torch.where(sign == 0, gradient, 0)
         held = sign.mul(gradient).mul_(_MOST_BALANCE)
@@ -63,16 +61,17 @@ class _Balanced(torch.autograd.Function):
 
 
 def _twelfth_of_differences(values: Tensor, transposed: bool = False) -> Tensor:
-    """The sum of the second differences along the axes, 0 at an axis's ends, over 12; or the
-    transposed map of `values`, as the gradient has it."""
+    """The sum of the second differences along the axes, 0 at an axis's ends, over 12, to the same
+    bits as `_balanced`; or the transposed map of `values`, as the gradient has it."""
     total = torch.zeros_like(values)
     for axis, count in enumerate(values.shape[:3]):
-        to, of = (total, values.narrow(axis, 1, count - 2))
-        for first, factor in ((0, 1 / 12), (1, -2 / 12), (2, 1 / 12)):
-            if transposed:
-                to.narrow(axis, first, count - 2).add_(of, alpha=factor)
-            else:
-                total.narrow(axis, 1, count - 2).add_(
-                    values.narrow(axis, first, count - 2), alpha=factor
-                )
-    return total
+        inner = count - 2
+        if transposed:
+            of = values.narrow(axis, 1, inner)
+            for first, factor in enumerate((1, -2, 1)):
+                total.narrow(axis, first, inner).add_(of, alpha=factor)
+        else:
+            before, here, after = (values.narrow(axis, first, inner) for first in range(3))
+            second = torch.sub(before, here, alpha=2).add_(after)
+            total.narrow(axis, 1, inner).add_(second)
+    return total.div_(12)
