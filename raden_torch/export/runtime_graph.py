@@ -7,8 +7,8 @@ end, and one gather brings all eight neighbours in the table.
 
 The formulas are those of `brdf.model.runtime_table`, which every export is checked against. All but
 the cosine are homogeneous in N, so only L and V are made unit vectors, and N as long as makes
-N·(L + V) = 4: then N·L = (4 − N·d)/2, N·V = (4 + N·d)/2, N − (L + V) = n is across L + V where L and V
-almost agree, and |N|² = n·n + d·d + 4.
+N·(L + V) = 4. Then N·L = (4 − N·d)/2 and N·V = (4 + N·d)/2; n = N − (L + V) is across L + V where L
+and V almost agree; and |N|² = n·n + d·d + 4.
 """
 
 from __future__ import annotations
