@@ -18,8 +18,8 @@ from torch import Tensor, nn
 from raden_torch import geometry
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model import kernel
+from raden_torch.brdf.model.balance import balanced
 from raden_torch.brdf.model.model import RadenBrdf, model_state
-from raden_torch.brdf.model.runtime_bake import balanced
 from raden_torch.brdf.model.runtime_table import (
     RuntimeLayout,
     address_of_angles,
