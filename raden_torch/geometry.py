@@ -205,6 +205,15 @@ def normalised(v: Tensor) -> Tensor:
     return unit + torch.where(is_unit, v - unit, torch.zeros_like(v)).detach()
 
 
+def unit_columns(v: Tensor) -> Tensor:
+    """`[3, N]` vectors at unit length; zero stays zero.
+
+    In a fraction of the time of `torch.nn.functional.normalize`, whose norm over the first
+    dimension is slow.
+    """
+    return v * v.square().sum(0).clamp_(min=1e-24).rsqrt_()
+
+
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """a·b of two vector maps, `[..., 1, H, W]`."""
     return (a * b).sum(XYZ_DIM, keepdim=True)

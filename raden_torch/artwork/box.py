@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from raden_torch.errors import InputError
+from raden_torch.geometry import unit_columns
 
 TABLE, LID, FRONT, RIGHT, BACK, LEFT = 0, 1, 2, 3, 4, 5
 """Parts that a ray may meet; the last five are charts of the box."""
@@ -97,7 +98,7 @@ class Box:
         x, _, z = self.half
         lean = self.dome * normal[1].clamp(min=0) ** 2
         tilt = torch.stack([lean * position[0] / x, torch.zeros_like(lean), lean * position[2] / z])
-        return torch.nn.functional.normalize(normal + tilt, dim=0)
+        return unit_columns(normal + tilt)
 
     def chart(self, part: Tensor, position: Tensor) -> Tensor:
         """`[2, N]` places on each part's own plane: right and up as one faces it, from its middle
@@ -149,18 +150,18 @@ class Box:
             beyond = (at.abs() - inner).clamp(min=0) * at.sign()
             near, met, normal = near.clone(), met.clone(), normal.clone()
             near[rim], met[rim] = reach, hit
-            normal[:, rim] = torch.nn.functional.normalize(beyond, dim=0)
+            normal[:, rim] = unit_columns(beyond)
         return near, normal * met, met
 
     def _march(self, eye: Tensor, rays: Tensor, near: Tensor, far: Tensor) -> tuple[Tensor, Tensor]:
         """Sphere tracing (Hart 1996) of the rounded block between two reaches."""
         reach, inner = near.clone(), self._inner(rays)
-        length = rays.norm(dim=0)
+        length = rays.square().sum(0).sqrt()
         left = torch.arange(len(near))
         hit = torch.zeros_like(near, dtype=torch.bool)
         for _ in range(_STEPS):
             point = self._centred(eye[:, None] + reach[left] * rays[:, left])
-            away = (point.abs() - inner).clamp(min=0).norm(dim=0) - self.rounding
+            away = (point.abs() - inner).clamp(min=0).square().sum(0).sqrt() - self.rounding
             close = away < _NEAR
             hit[left[close]] = True
             reach[left] += (away / length[left]).clamp(min=0)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from torch import Tensor
 
 from raden_torch.brdf.files.display import Display, eight_bits
 from raden_torch.errors import InputError
@@ -24,6 +26,7 @@ _WEBP_QUALITY = 70
 
 Shown = Callable[[float], object]
 Pixels = NDArray[np.uint8]
+_T = TypeVar("_T")
 
 
 def render_frames(
@@ -90,9 +93,12 @@ def _write_folder(
     folder.mkdir(parents=True, exist_ok=True)
     left = [number for number in frames if number not in there]
     exposed = _exposed(scene, display) if left else display
-    for place, number in enumerate(left):
-        exposed.write(scene.frame(number), targets[number], scene.caption)
-        shown((place + 1) / len(left))
+
+    def write(number: int, image: Tensor) -> None:
+        exposed.write(image, targets[number], scene.caption)
+
+    for _ in _finished(scene, left, write, shown):
+        pass
     return len(left)
 
 
@@ -101,9 +107,28 @@ def _pictures(
 ) -> Iterator[Pixels]:
     """`[H, W, 3]` of each frame."""
     exposed = _exposed(scene, display)
-    for place, number in enumerate(frames):
-        yield eight_bits(exposed.picture(scene.frame(number))[0], scene.caption)
-        shown((place + 1) / len(frames))
+
+    def picture(_: int, image: Tensor) -> Pixels:
+        return eight_bits(exposed.picture(image)[0], scene.caption)
+
+    return _finished(scene, frames, picture, shown)
+
+
+def _finished(
+    scene: Scene, frames: Sequence[int], finish: Callable[[int, Tensor], _T], shown: Shown
+) -> Iterator[_T]:
+    """What `finish` makes of each frame, in a thread of its own while the next one is rendered."""
+    with ThreadPoolExecutor(1) as thread:
+        waiting: Future[_T] | None = None
+        for place, number in enumerate(frames):
+            image = scene.frame(number)
+            if waiting is not None:
+                yield waiting.result()
+                shown(place / len(frames))
+            waiting = thread.submit(finish, number, image)
+        if waiting is not None:
+            yield waiting.result()
+            shown(1.0)
 
 
 def _exposed(scene: Scene, display: Display) -> Display:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample, normalize
+from torch.nn.functional import grid_sample
 
 from raden_torch.artwork.box import FRONT, LID, Box, Hits
 from raden_torch.artwork.box_decoration import Chart
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.geometry import unit_columns
 
 _TAPS = 3
 """Along the longer side of what a sample sees."""
@@ -78,7 +79,7 @@ class Dressing:
             axes = _axes(part).to(normal)
             for lies, slopes in ((LAYERS, read[-4:-2]), (FLAKES, read[-2:])):
                 leaning = normal[:, where] - axes.T @ slopes
-                bent[lies][:, where] = normalize(leaning, dim=0)
+                bent[lies][:, where] = unit_columns(leaning)
         return Dressed(hits.position, tuple(bent), weights)
 
 
@@ -117,11 +118,11 @@ def _read(
     place = box.chart(torch.full(position.shape[1:], part), position)
     half, low, high = box.chart_size(part)
     away = eye[:, None] - position
-    distance = away.norm(dim=0)
+    distance = away.square().sum(0).sqrt()
     cosine = ((away * normal).sum(0) / distance).clamp(min=0.05)
     # a sample is longest where the view runs along the surface
     along = _axes(part).to(away) @ (away / distance)
-    along = along / along.norm(dim=0).clamp(min=1e-6)
+    along = unit_columns(along)
     longer = along * (distance * pixel * (1 / cosine).clamp(max=8.0))
     total = torch.zeros(len(texture), position.shape[1])
     scale = torch.tensor([1 / half, -2 / (high - low)])[:, None]

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from raden_torch.brdf.materials.coat import Coated
-from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.area_lights import RectangleLight
 from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light, directions_of
 from raden_torch.brdf.shading.shade import shade
+from raden_torch.geometry import unit_columns
 from raden_torch.scene.dressing import Dressed, Dressing
 from raden_torch.scene.polish import (
     MirroredSurroundings,
@@ -36,103 +36,127 @@ _LEAST = 1 / 512
 Place = tuple[float, float, float]
 
 
-def lit_box(
-    dressing: Dressing,
-    dressed: Dressed,
-    camera: Place,
-    lights: Sequence[Light],
-    table: LitTable | None,
-) -> Tensor:
-    """`[3, N]` radiance of a dressed box."""
-    image = torch.zeros_like(dressed.position)
-    lamps = [
-        light.lamps(_LAMPS) if isinstance(light, EnvironmentLight) else light for light in lights
-    ]
-    for lies, normal in enumerate(dressed.normals):
-        rows = [k for k, c in enumerate(dressing.coverings) if c.lies == lies]
-        if not rows:
-            continue
-        weights = dressed.weights[rows]
-        weights = torch.where(weights > _LEAST, weights, 0.0)
-        here = (weights.sum(0) > 0).nonzero()[:, 0]
+class SeenBox:
+    """A dressed box before a camera: what stays the same under any light is gathered once."""
+
+    def __init__(self, dressing: Dressing, dressed: Dressed, camera: Place) -> None:
+        self._size = dressed.position.shape
+        self._bodies = list(_bodies(dressing, dressed, camera))
+        rows = [k for k, c in enumerate(dressing.coverings) if c.polished]
+        share = dressed.weights[rows].sum(0)
+        here = (share > _LEAST).nonzero()[:, 0]
+        self._face = None
         if len(here):
-            gbuffer = _gbuffer(normal[:, here], dressed.position[:, here], camera)
-            materials = [dressing.coverings[k].body for k in rows]
-            image[:, here] += _mixed(materials, weights[:, here], gbuffer, lamps)
-    _add_polish(image, dressing, dressed, camera, lights, table)
-    return image
+            self._face = _Face.of(dressing.polish, dressed, here, share[here], camera)
+
+    def radiance(self, lights: Sequence[Light], table: LitTable | None) -> Tensor:
+        """`[3, N]` under lights, above a table that they light, too."""
+        image = torch.zeros(self._size)
+        lamps = [x.lamps(_LAMPS) if isinstance(x, EnvironmentLight) else x for x in lights]
+        for body in self._bodies:
+            lit = shade(body.material, body.gbuffer, lamps)[0, :, 0]
+            image.index_add_(1, body.here, lit * body.share)
+        if self._face is not None:
+            image.index_add_(1, self._face.here, self._face.reflected(lights, table))
+        return image
 
 
-def _mixed(
-    materials: Sequence[Reflection], weights: Tensor, gbuffer: GBuffer, lights: Sequence[Light]
-) -> Tensor:
-    """`[3, N]` of materials by their weights `[K, N]`, not all 0 anywhere."""
-    share = weights.sum(0)
-    mixed = GBuffer(
-        gbuffer.normal,
-        position=gbuffer.position,
-        camera=gbuffer.camera,
-        material=(weights / share)[None, :, None],
-    )
-    return shade(Palette(materials), mixed, lights)[0, :, 0] * share
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """Where a material shows.
+
+    Attributes:
+        here: `[P]` which of the places.
+        share: `[P]` how much of each.
+        gbuffer: of one row.
+    """
+
+    material: Reflection
+    here: Tensor
+    share: Tensor
+    gbuffer: GBuffer
 
 
-def _gbuffer(normal: Tensor, position: Tensor, camera: Place) -> GBuffer:
-    return GBuffer(normal[None, :, None], position=position[None, :, None], camera=camera)
+def _bodies(dressing: Dressing, dressed: Dressed, camera: Place) -> Iterator[_Body]:
+    for covering, share in zip(dressing.coverings, dressed.weights, strict=True):
+        here = (share > _LEAST).nonzero()[:, 0]
+        if len(here):
+            normal, position = (
+                m.index_select(1, here)[None, :, None]
+                for m in (dressed.normals[covering.lies], dressed.position)
+            )
+            gbuffer = GBuffer(normal, position=position, camera=camera)
+            yield _Body(covering.body, here, share[here], gbuffer)
 
 
-def _add_polish(
-    image: Tensor,
-    dressing: Dressing,
-    dressed: Dressed,
-    camera: Place,
-    lights: Sequence[Light],
-    table: LitTable | None,
-) -> None:
-    """What the polished face reflects, where there is one."""
-    rows = [k for k, c in enumerate(dressing.coverings) if c.polished]
-    share = dressed.weights[rows].sum(0)
-    here = (share > _LEAST).nonzero()[:, 0]
-    if not len(here):
-        return
-    normal, position = dressed.normals[0][:, here], dressed.position[:, here]
-    view = normalize(torch.tensor(camera)[:, None] - position, dim=0)
-    mirror, cosine = mirrored(normal, view)
-    seen = torch.zeros_like(normal)
-    small = []
-    for light in lights:
-        if isinstance(light, EnvironmentLight):
-            seen += MirroredSurroundings(light, dressing.polish.roughness).at(mirror)
-        elif isinstance(light, RectangleLight):
-            seen += mirrored_rectangle(light, position, mirror)
-        else:
-            small.append(light)
-    if table is not None:
-        down = (mirror[1] < -1e-3).nonzero()[:, 0]
-        at = position[:, down] - mirror[:, down] * (position[1, down] / mirror[1, down])
-        seen[:, down] = table.mirrored(at)
-    light_of = seen * reflected_share(dressing.polish, cosine)
-    light_of += _lamps_in(dressing.polish, normal, position, view, small)
-    image[:, here] += light_of * share[here]
+@dataclass(frozen=True, eq=False)
+class _Face:
+    """The polished face, where there is one: `[3, P]` maps, and `[P]` which of the places.
 
+    Attributes:
+        view, mirror: unit vectors to the eye, and where the face mirrors it to.
+        reflects: how much of what it mirrors is seen.
+        share: `[P]`, how much of each place is polished.
+    """
 
-def _lamps_in(
-    face: Coated, normal: Tensor, position: Tensor, view: Tensor, lights: Sequence[Light]
-) -> Tensor:
-    """`[3, N]` the highlights of lamps in a face."""
-    total = torch.zeros_like(normal)
-    # 1 - 1 / (1 + 20²) of a GGX lobe lies within this angle of its facets' normal
-    least = 1 / math.sqrt(1 + (_FACETS_WITHIN * face.roughness) ** 2)
-    everywhere = position[None, :, None]
-    for light in lights:
-        for towards, irradiance in directions_of(light, everywhere, everywhere):
-            to = normalize(towards, dim=1)[0, :, 0].expand_as(normal)
-            half = normalize(to + view, dim=0)
-            near = ((normal * half).sum(0) > least).nonzero()[:, 0]
-            if not len(near):
-                continue
-            n, towards_lamp, v = (m[None, :, None, near] for m in (normal, to, view))
-            cosine = (n * towards_lamp).sum(1, keepdim=True).clamp(min=0)
-            e = irradiance.expand(1, 3, 1, normal.shape[1])[..., near]
-            total[:, near] += (face.gloss(n, towards_lamp, v) * e * cosine)[0, :, 0]
-    return total
+    polish: Coated
+    here: Tensor
+    normal: Tensor
+    position: Tensor
+    view: Tensor
+    mirror: Tensor
+    reflects: Tensor
+    share: Tensor
+
+    @classmethod
+    def of(
+        cls, polish: Coated, dressed: Dressed, here: Tensor, share: Tensor, camera: Place
+    ) -> _Face:
+        normal, position = (m.index_select(1, here) for m in (dressed.normals[0], dressed.position))
+        view = unit_columns(torch.tensor(camera)[:, None] - position)
+        mirror, cosine = mirrored(normal, view)
+        reflects = reflected_share(polish, cosine) * share
+        return cls(polish, here, normal, position, view, mirror, reflects, share)
+
+    def reflected(self, lights: Sequence[Light], table: LitTable | None) -> Tensor:
+        """`[3, P]` radiance."""
+        seen = torch.zeros_like(self.normal)
+        small = []
+        for light in lights:
+            if isinstance(light, EnvironmentLight):
+                seen += MirroredSurroundings(light, self.polish.roughness).at(self.mirror)
+            elif isinstance(light, RectangleLight):
+                seen += mirrored_rectangle(light, self.position, self.mirror)
+            else:
+                small.append(light)
+        if table is not None:
+            down = (self.mirror[1] < -1e-3).nonzero()[:, 0]
+            position, mirror = (m.index_select(1, down) for m in (self.position, self.mirror))
+            seen[:, down] = table.mirrored(position - mirror * (position[1] / mirror[1]))
+        return seen.mul_(self.reflects) + self._lamps(small)
+
+    def _lamps(self, lights: Sequence[Light]) -> Tensor:
+        """`[3, P]` their highlights."""
+        total = torch.zeros_like(self.normal)
+        # 1 - 1 / (1 + 20²) of a GGX lobe lies within this angle of its facets' normal, and a lamp
+        # off the mirror direction by twice the angle at most
+        least = 1 / math.sqrt(1 + (_FACETS_WITHIN * self.polish.roughness) ** 2)
+        widest = 2 * least**2 - 1
+        everywhere = self.position[None, :, None]
+        for light in lights:
+            for towards, irradiance in directions_of(light, everywhere, everywhere):
+                to = towards[0, :, 0]
+                along = (self.mirror * to).sum(0)
+                near = (along > widest * to.square().sum(0).sqrt()).nonzero()[:, 0]
+                if not len(near):
+                    continue
+                n, v, to = (
+                    m.expand_as(self.normal).index_select(1, near)
+                    for m in (self.normal, self.view, to)
+                )
+                to = unit_columns(to)
+                cosine = (n * to).sum(0).clamp(min=0)
+                e = irradiance[0, :, 0].expand(3, len(self.share))[:, near] * self.share[near]
+                n, to, v = (m[None, :, None] for m in (n, to, v))
+                total[:, near] += self.polish.gloss(n, to, v)[0, :, 0] * (e * cosine)
+        return total

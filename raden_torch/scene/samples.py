@@ -32,6 +32,13 @@ class Samples:
     pixel: Tensor
     per_side: Tensor
 
+    def at(self, mask: Tensor) -> Samples:
+        """Those where `[N]` mask is true."""
+        here = mask.nonzero()[:, 0]
+        position, normal = (m.index_select(1, here) for m in (self.hits.position, self.hits.normal))
+        hits = Hits(self.hits.part[here], position, normal)
+        return Samples(hits, self.pixel[here], self.per_side[here])
+
     def averaged(self, radiance: Tensor, size: tuple[int, int]) -> Tensor:
         """`[1, 3, H, W]` of radiance `[3, N]`."""
         width, height = size

@@ -12,7 +12,7 @@ import msgspec
 import torch
 from torch import Tensor
 
-from raden_torch.artwork.box import LID, TABLE, Box, Hits
+from raden_torch.artwork.box import Box
 from raden_torch.brdf.files.display import Display
 from raden_torch.brdf.files.gbuffer_file import read_gbuffer
 from raden_torch.brdf.shading.environment import EnvironmentLight
@@ -21,7 +21,7 @@ from raden_torch.brdf.shading.lights import Light
 from raden_torch.errors import InputError
 from raden_torch.scene.camera import Camera, Place
 from raden_torch.scene.coverings import MaterialNames
-from raden_torch.scene.dressing import Dressed, Dressing
+from raden_torch.scene.dressing import Dressing
 from raden_torch.scene.layers import (
     ARTWORK_SHELLS,
     artwork_dressing,
@@ -29,14 +29,10 @@ from raden_torch.scene.layers import (
     plain_dressing,
     texel_for,
 )
-from raden_torch.scene.lighting import lit_box
 from raden_torch.scene.motion import angle_at, camera_at, environment_of, lamps_at
-from raden_torch.scene.samples import Samples, sampled
 from raden_torch.scene.scene_file import SceneTable, files_of, read_scene
+from raden_torch.scene.seen import Seen, of_gbuffer
 from raden_torch.scene.table import LitTable, Table
-
-_FAR = 1e4
-"""Where a camera at infinity is put."""
 
 
 class Scene:
@@ -55,7 +51,7 @@ class Scene:
         self.table, self.folder, self.name = table, folder, name
         self._names = MaterialNames(table.materials, folder, name)
         self._check()
-        self._seen: tuple[object, _Seen] | None = None
+        self._seen: tuple[object, Seen] | None = None
         self._still: tuple[object, Tensor] | None = None
         self._around: tuple[object, EnvironmentLight] | None = None
 
@@ -136,19 +132,14 @@ class Scene:
         key = (id(seen), tuple(still), id(around))
         if self._still is None or self._still[0] != key:
             self._still = key, self._light(seen, lights)
-        radiance = self._still[1]
-        if moving:
-            radiance = radiance + self._light(seen, moving)
-        return seen.samples.averaged(radiance, seen.size)
+        image = self._still[1]
+        return image + self._light(seen, moving) if moving else image.clone()
 
-    def _light(self, seen: _Seen, lights: list[Light]) -> Tensor:
-        total = torch.zeros(3, len(seen.samples.pixel))
+    def _light(self, seen: Seen, lights: list[Light]) -> Tensor:
         table = None
-        if isinstance(self.table.object.table, tuple) and seen.box is not None:
-            table = LitTable(Table(self.table.object.table), seen.box, lights)
-            total[:, seen.table] = table.radiance(seen.samples.hits.position[:, seen.table])
-        total[:, seen.thing] = lit_box(self._dressing, seen.dressed, seen.eye, lights, table)
-        return total
+        if isinstance(self.table.object.table, tuple) and self.table.object.gbuffer is None:
+            table = LitTable(Table(self.table.object.table), self._box, lights)
+        return seen.image(lights, table)
 
     def _environment(self, time: float, turn: float) -> EnvironmentLight | None:
         described = self.table.lights.environment
@@ -211,18 +202,18 @@ class Scene:
         assert table.gbuffer is not None
         return read_gbuffer(self.folder / table.gbuffer, fov_deg=table.fov_deg)
 
-    def _look(self, time: float, turn: float) -> _Seen:
+    def _look(self, time: float, turn: float) -> Seen:
         """What the camera sees, kept while it does not move."""
         if self.table.object.gbuffer is not None:
             if self._seen is None:
-                self._seen = None, _of_gbuffer(self._gbuffer, self._dressing)
+                self._seen = None, of_gbuffer(self._gbuffer, self._dressing)
             return self._seen[1]
         assert self.table.camera is not None
         picture = self.table.picture
         camera = camera_at(self.table.camera, picture.size, time, turn)
         if self._seen is None or self._seen[0] != camera:
-            samples = sampled(self._box, camera, picture.samples)
-            self._seen = camera, _Seen.of(self._dressing, self._box, camera, samples, self._pixel)
+            seen = Seen.of(self._dressing, self._box, camera, picture.samples, self._pixel)
+            self._seen = camera, seen
         return self._seen[1]
 
     def _check(self) -> None:
@@ -267,65 +258,3 @@ class Scene:
                 f"{self.name}: camera: position: expected a place above the table and outside of "
                 f"the box, got {eye}"
             )
-
-
-class _Seen:
-    """What a camera sees: places, and the maps there."""
-
-    def __init__(
-        self,
-        samples: Samples,
-        dressed: Dressed,
-        eye: Place,
-        size: tuple[int, int],
-        box: Box | None,
-    ) -> None:
-        self.samples, self.dressed, self.eye, self.size = samples, dressed, eye, size
-        self.box = box
-        part = samples.hits.part
-        self.thing = (part >= LID).nonzero()[:, 0]
-        self.table = (part == TABLE).nonzero()[:, 0]
-
-    @classmethod
-    def of(
-        cls, dressing: Dressing, box: Box, camera: Camera, samples: Samples, pixel: float
-    ) -> _Seen:
-        hits = samples.hits
-        on = (hits.part >= LID).nonzero()[:, 0]
-        own = Hits(hits.part[on], hits.position[:, on], hits.normal[:, on])
-        dressed = dressing.at(box, own, camera.eye(), pixel)
-        return cls(samples, dressed, camera.position, camera.size, box)
-
-
-def _of_gbuffer(gbuffer: GBuffer, dressing: Dressing) -> _Seen:
-    """Of an EXR: a place a pixel, where there is a normal."""
-    normal = torch.nn.functional.normalize(gbuffer.normal[0].float(), dim=0)
-    _, height, width = normal.shape
-    found = torch.isfinite(normal).all(0) & (normal.norm(dim=0) > 0.5)
-    mask = torch.ones(height, width) if gbuffer.mask is None else gbuffer.mask[0, 0].float()
-    found = (found & (mask > 0)).flatten()
-    pixel = found.nonzero()[:, 0]
-    n = normal.flatten(1)[:, pixel]
-    if gbuffer.position is not None and gbuffer.camera is not None:
-        position = gbuffer.position[0].float().flatten(1)[:, pixel]
-        eye = tuple(float(x) for x in torch.as_tensor(gbuffer.camera).flatten()[:3])
-    else:
-        position = torch.zeros_like(n)
-        view = torch.as_tensor(gbuffer.view_map(gbuffer.normal)).flatten()[:3].float()
-        eye = tuple((view / view.norm() * _FAR).tolist())
-    chart = dressing.charts.get(LID)
-    if chart is None:
-        weights = torch.zeros(len(dressing.coverings), len(pixel))
-        weights[dressing.ground] = 1
-        bent = n
-    else:
-        weights = chart.weights.flatten(1)[:, pixel]
-        slope = chart.layers.flatten(1)[:, pixel]
-        right = n.new_tensor([1.0, 0.0, 0.0])[:, None]
-        up = n.new_tensor([0.0, 1.0, 0.0])[:, None]
-        bent = torch.nn.functional.normalize(n - slope[0] * right - slope[1] * up, dim=0)
-    weights = weights * mask.flatten()[pixel]
-    hits = Hits(torch.full_like(pixel, LID), position, n)
-    samples = Samples(hits, pixel, torch.ones_like(pixel))
-    dressed = Dressed(position, (n, bent, n), weights)
-    return _Seen(samples, dressed, (eye[0], eye[1], eye[2]), (width, height), None)

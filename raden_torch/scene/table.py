@@ -13,6 +13,7 @@ from raden_torch.artwork.box import Box
 from raden_torch.brdf.shading.area_lights import AreaLight
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.lights import Light, directions_of
+from raden_torch.geometry import unit_columns
 
 _REACH, _SIDE = 6.0, 121
 """Half the side of the square whose soft shadow is kept, and nodes along it."""
@@ -79,7 +80,7 @@ class LitTable:
         where = position[None, :, None]
         for light in lights:
             for towards, irradiance in directions_of(light, where, where):
-                to = torch.nn.functional.normalize(towards, dim=1)[0, :, 0]
+                to = unit_columns(towards[0, :, 0])
                 cosine = to[1].clamp(min=0)
                 if not bool((cosine > 0).any()):
                     continue
