@@ -38,6 +38,7 @@ from raden_torch.scene.scene import Scene
 from raden_torch.scene.scene_file import (
     AnimationTable,
     CameraTable,
+    DirectionalTable,
     DisplayTable,
     EnvironmentTable,
     LightsTable,
@@ -125,14 +126,21 @@ def _scene(out: Path, size: int) -> list[Figure]:
     """A box in a room, still and turning."""
     table = SceneTable(
         picture=PictureTable(size=(5 * size // 4, 5 * size // 4 * 9 // 16)),
-        camera=CameraTable(position=(1.5, 3.7, 5.6), target=(0.05, 0.33, 0.0), fov_deg=34.0),
-        object=ObjectTable(artwork="makie", swing_deg=22.0),
+        camera=CameraTable(position=(1.5, 3.3, 5.8), target=(0.06, 0.24, 0.0), fov_deg=35.0),
+        object=ObjectTable(
+            artwork="makie", swing_deg=22.0, table=(0.14, 0.133, 0.125), table_roughness=0.02
+        ),
         # one thickness each: to bake a shell takes seconds
         materials=[
             MaterialTable(name=name, shell=name, tablets=[1.0]) for name in ("yakogai", "mexican")
         ],
-        lights=LightsTable(environment=EnvironmentTable(builtin="room")),
-        display=DisplayTable(exposure=0.2),
+        lights=LightsTable(
+            environment=EnvironmentTable(builtin="room"),
+            directional=[
+                DirectionalTable(direction=(-0.15, 0.6, 1.0), irradiance=(0.8, 0.78, 0.75))
+            ],
+        ),
+        display=DisplayTable(exposure=0.3),
         animation=AnimationTable(frames=_TURNING_FRAMES, fps=9.0),
     )
     scene = Scene(table, out)

@@ -61,3 +61,17 @@ class Camera:
         axes = torch.stack([right, -up, forward], 1).to(column)
         across, down = (column - width / 2) * scale, (row - height / 2) * scale
         return axes[:, :1] * across + axes[:, 1:2] * down + axes[:, 2:]
+
+
+@dataclass(frozen=True)
+class View:
+    """How a picture is looked at.
+
+    Attributes:
+        per_side: samples along each side of a pixel at an edge.
+        pixel: the angle that it spans.
+    """
+
+    camera: Camera
+    per_side: int
+    pixel: float

@@ -47,7 +47,11 @@ class SeenBox:
         here = (share > _LEAST).nonzero()[:, 0]
         self._face = None
         if len(here):
-            self._face = _Face.of(dressing.polish, dressed, here, share[here], camera)
+            normal, position = (
+                m.index_select(1, here) for m in (dressed.normals[0], dressed.position)
+            )
+            self._face = Face.of(dressing.polish, normal, position, camera, share[here])
+            self._polished = here
 
     def radiance(self, lights: Sequence[Light], table: LitTable | None) -> Tensor:
         """`[3, N]` under lights, above a table that they light, too."""
@@ -57,7 +61,7 @@ class SeenBox:
             lit = shade(body.material, body.gbuffer, lamps)[0, :, 0]
             image.index_add_(1, body.here, lit * body.share)
         if self._face is not None:
-            image.index_add_(1, self._face.here, self._face.reflected(lights, table))
+            image.index_add_(1, self._polished, self._face.reflected(lights, table))
         return image
 
 
@@ -90,36 +94,45 @@ def _bodies(dressing: Dressing, dressed: Dressed, camera: Place) -> Iterator[_Bo
 
 
 @dataclass(frozen=True, eq=False)
-class _Face:
-    """The polished face, where there is one: `[3, P]` maps, and `[P]` which of the places.
+class Face:
+    """A polished face at P places, `[3, P]` maps.
 
     Attributes:
-        view, mirror: unit vectors to the eye, and where the face mirrors it to.
-        reflects: how much of what it mirrors is seen.
+        view, mirror: unit vectors to the eye, and to where the face mirrors it.
         share: `[P]`, how much of each place is polished.
+        reflects: `[3, P]`, how much of what the face mirrors is seen.
     """
 
     polish: Coated
-    here: Tensor
     normal: Tensor
     position: Tensor
     view: Tensor
     mirror: Tensor
-    reflects: Tensor
     share: Tensor
+    reflects: Tensor
 
     @classmethod
     def of(
-        cls, polish: Coated, dressed: Dressed, here: Tensor, share: Tensor, camera: Place
-    ) -> _Face:
-        normal, position = (m.index_select(1, here) for m in (dressed.normals[0], dressed.position))
+        cls, polish: Coated, normal: Tensor, position: Tensor, camera: Place, share: Tensor
+    ) -> Face:
         view = unit_columns(torch.tensor(camera)[:, None] - position)
         mirror, cosine = mirrored(normal, view)
         reflects = reflected_share(polish, cosine) * share
-        return cls(polish, here, normal, position, view, mirror, reflects, share)
+        return cls(polish, normal, position, view, mirror, share, reflects)
 
-    def reflected(self, lights: Sequence[Light], table: LitTable | None) -> Tensor:
-        """`[3, P]` radiance."""
+    def reflected(
+        self,
+        lights: Sequence[Light],
+        table: LitTable | None,
+        before: tuple[Tensor, Tensor] | None = None,
+    ) -> Tensor:
+        """`[3, P]` radiance.
+
+        Args:
+            table: that is mirrored below the horizon.
+            before: what is mirrored before the lights: radiance `[3, P]`, times how much of them it
+                hides, `[P]`.
+        """
         seen = torch.zeros_like(self.normal)
         small = []
         for light in lights:
@@ -133,7 +146,12 @@ class _Face:
             down = (self.mirror[1] < -1e-3).nonzero()[:, 0]
             position, mirror = (m.index_select(1, down) for m in (self.position, self.mirror))
             seen[:, down] = table.mirrored(position - mirror * (position[1] / mirror[1]))
-        return seen.mul_(self.reflects) + self._lamps(small)
+        highlights = self._lamps(small)
+        if before is not None:
+            radiance, cover = before
+            seen = seen.mul_(1 - cover).add_(radiance)
+            highlights *= 1 - cover
+        return seen.mul_(self.reflects) + highlights
 
     def _lamps(self, lights: Sequence[Light]) -> Tensor:
         """`[3, P]` their highlights."""

@@ -20,8 +20,10 @@ from raden_torch.brdf.shading.kept_by_map import KeptByMap
 from raden_torch.brdf.shading.latlong import SphereBlur, about_y, octahedral
 from raden_torch.brdf.shading.triples import as_map, checked
 
-_WIDTH = 1.35
+WIDTH = 1.35
 """Standard deviation of the Gaussian about R over α."""
+_SPACING = 0.4
+"""Of the blurred map's nodes, in standard deviations: wider, a flat face shows them as bands."""
 _BLOCK = 1 << 18
 _blurred: KeptByMap[Tensor] = KeptByMap(most=4)
 """Blurred maps by roughness."""
@@ -33,7 +35,9 @@ class MirroredSurroundings:
     def __init__(self, light: EnvironmentLight, roughness: float) -> None:
         radiance = light.radiance
         self._map = _blurred.get(
-            radiance, roughness, lambda: SphereBlur(radiance).octahedral(_WIDTH * roughness)
+            radiance,
+            roughness,
+            lambda: SphereBlur(radiance).octahedral(WIDTH * roughness, _SPACING),
         )
         self._turn = about_y(-light.rotation_deg).float()
         self._factor = checked("intensity", light.intensity, may_be_one=True).float()

@@ -19,7 +19,7 @@ from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.errors import InputError
-from raden_torch.scene.camera import Camera, Place
+from raden_torch.scene.camera import Camera, Place, View
 from raden_torch.scene.coverings import MaterialNames
 from raden_torch.scene.dressing import Dressing
 from raden_torch.scene.layers import (
@@ -136,10 +136,15 @@ class Scene:
         return image + self._light(seen, moving) if moving else image.clone()
 
     def _light(self, seen: Seen, lights: list[Light]) -> Tensor:
-        table = None
-        if isinstance(self.table.object.table, tuple) and self.table.object.gbuffer is None:
-            table = LitTable(Table(self.table.object.table), self._box, lights)
+        table = None if self._table is None else LitTable(self._table, self._box, lights)
         return seen.image(lights, table)
+
+    @cached_property
+    def _table(self) -> Table | None:
+        given = self.table.object
+        if given.gbuffer is not None or not isinstance(given.table, tuple):
+            return None
+        return Table(given.table, given.table_roughness)
 
     def _environment(self, time: float, turn: float) -> EnvironmentLight | None:
         described = self.table.lights.environment
@@ -156,10 +161,7 @@ class Scene:
         described = self.table.lights.environment
         assert described is not None
         light = environment_of(described, self.folder)
-        table = self.table.object.table
-        if isinstance(table, tuple) and self.table.object.gbuffer is None:
-            light = Table(table).under(light)
-        return light
+        return light if self._table is None else self._table.under(light)
 
     @cached_property
     def _box(self) -> Box:
@@ -212,8 +214,8 @@ class Scene:
         picture = self.table.picture
         camera = camera_at(self.table.camera, picture.size, time, turn)
         if self._seen is None or self._seen[0] != camera:
-            seen = Seen.of(self._dressing, self._box, camera, picture.samples, self._pixel)
-            self._seen = camera, seen
+            view = View(camera, picture.samples, self._pixel)
+            self._seen = camera, Seen.of(self._dressing, self._box, view, self._table)
         return self._seen[1]
 
     def _check(self) -> None:

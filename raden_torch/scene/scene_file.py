@@ -26,6 +26,7 @@ Albedo = tuple[Share, Share, Share]
 Pixels = Annotated[int, Meta(ge=1, le=16384)]
 Frame = Annotated[int, Meta(ge=1, le=100_000)]
 Roughness = Annotated[float, Meta(gt=0, le=1)]
+Polish = Annotated[float, Meta(gt=0, le=0.2)]
 Seed = Annotated[int, Meta(ge=0, le=2**31)]
 
 
@@ -64,6 +65,7 @@ class ObjectTable(_Table, frozen=True):
     turn_deg: Finite = 0.0
     swing_deg: Finite = 0.0
     table: Albedo | Literal["none"] = (0.42, 0.405, 0.385)
+    table_roughness: Polish | None = None
 
 
 class MaterialTable(_Table, frozen=True):

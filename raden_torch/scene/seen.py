@@ -8,14 +8,16 @@ import torch
 from torch import Tensor
 
 from raden_torch.artwork.box import LID, TABLE, Box, Hits
+from raden_torch.brdf.materials.urushi import black_urushi
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.geometry import unit_columns
-from raden_torch.scene.camera import Camera
+from raden_torch.scene.camera import View
 from raden_torch.scene.dressing import Dressed, Dressing
-from raden_torch.scene.lighting import SeenBox
+from raden_torch.scene.lighting import Face, SeenBox
+from raden_torch.scene.mirror_image import MirrorImage
 from raden_torch.scene.samples import Samples, sampled
-from raden_torch.scene.table import LitTable
+from raden_torch.scene.table import LitTable, Table
 
 _FAR = 1e4
 """Where a camera at infinity is put."""
@@ -28,33 +30,50 @@ class Seen:
         samples: all places.
         box: those on the box or the surface.
         size: of the picture.
+        image: of the box in the table, and the table's face, where it is polished.
     """
 
-    def __init__(self, samples: Samples, box: SeenBox, size: tuple[int, int]) -> None:
-        self._box, self._size = box, size
+    def __init__(
+        self,
+        samples: Samples,
+        box: SeenBox,
+        size: tuple[int, int],
+        image: tuple[MirrorImage, Face] | None = None,
+    ) -> None:
+        self._box, self._size, self._mirror_image = box, size, image
         part = samples.hits.part
         self._on_box, self._on_table = samples.at(part >= LID), samples.at(part == TABLE)
 
     @classmethod
-    def of(cls, dressing: Dressing, box: Box, camera: Camera, per_side: int, pixel: float) -> Seen:
-        """By casting rays.
-
-        Args:
-            per_side: samples along each side of a pixel at an edge.
-            pixel: the angle that it spans.
-        """
-        samples = sampled(box, camera, per_side)
+    def of(cls, dressing: Dressing, box: Box, view: View, table: Table | None) -> Seen:
+        """By casting rays."""
+        camera = view.camera
+        samples = sampled(box, camera, view.per_side)
         on_box = samples.at(samples.hits.part >= LID).hits
-        dressed = dressing.at(box, on_box, camera.eye(), pixel)
-        return cls(samples, SeenBox(dressing, dressed, camera.position), camera.size)
+        dressed = dressing.at(box, on_box, camera.eye(), view.pixel)
+        seen = SeenBox(dressing, dressed, camera.position)
+        image = None
+        if table is not None and table.roughness is not None:
+            on_table = samples.at(samples.hits.part == TABLE)
+            hits, share = on_table.hits, torch.ones_like(on_table.hits.position[0])
+            polish = black_urushi(table.roughness)
+            face = Face.of(polish, hits.normal, hits.position, camera.position, share)
+            image = MirrorImage(dressing, box, view, table.roughness, on_table.pixel), face
+        return cls(samples, seen, camera.size, image)
 
     def image(self, lights: Sequence[Light], table: LitTable | None) -> Tensor:
         """`[1, 3, H, W]` radiance under lights, and of a table under the same."""
         image = self._on_box.averaged(self._box.radiance(lights, table), self._size)
-        if table is not None and len(self._on_table.pixel):
-            radiance = table.radiance(self._on_table.hits.position)
-            image += self._on_table.averaged(radiance, self._size)
-        return image
+        places = self._on_table
+        if table is None or not len(places.pixel):
+            return image
+        radiance = table.radiance(places.hits.position)
+        if self._mirror_image is not None:
+            mirror_image, face = self._mirror_image
+            before = mirror_image.at(places.pixel, lights, table)
+            radiance *= 1 - face.reflects
+            radiance += face.reflected(lights, None, before)
+        return image + places.averaged(radiance, self._size)
 
 
 def of_gbuffer(gbuffer: GBuffer, dressing: Dressing) -> Seen:

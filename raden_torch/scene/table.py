@@ -1,4 +1,4 @@
-"""The table under a box: pale and matt, with the box's shadow."""
+"""The table under a box, with the box's shadow: its matt part."""
 
 from __future__ import annotations
 
@@ -28,9 +28,11 @@ class Table:
 
     Attributes:
         albedo: linear RGB, 0…1.
+        roughness: GGX α of the polished face above it; None: matt.
     """
 
     albedo: tuple[float, float, float] = (0.42, 0.405, 0.385)
+    roughness: float | None = None
 
     def under(self, light: EnvironmentLight) -> EnvironmentLight:
         """Surroundings whose lower half is the table far from the box, as lit by the upper one."""

@@ -53,11 +53,15 @@ class SphereBlur:
         self.terms = torch.fft.rfft(image[0], dim=2)
         self.width = image.shape[3]
 
-    def octahedral(self, sigma: float) -> Tensor:
-        """`[3, S, S]` float32: blurred by `sigma` radians, at the nodes of an octahedral map."""
+    def octahedral(self, sigma: float, spacing: float = 1.5) -> Tensor:
+        """`[3, S, S]` float32: blurred by `sigma` radians, at the nodes of an octahedral map.
+
+        Args:
+            spacing: of the nodes, in `sigma`; no closer than the texels.
+        """
         blurred = self(sigma).float()
         texel = math.pi / blurred.shape[1]
-        side = min(_FINEST, 2 * math.ceil(math.pi / max(1.5 * sigma, texel)) + 1)
+        side = min(_FINEST, 2 * math.ceil(math.pi / max(spacing * sigma, texel)) + 1)
         x, y, z = octahedral_directions(side).float()
         # a column more on each side, so that reading goes around
         wide = torch.cat([blurred[..., -1:], blurred, blurred[..., :1]], dim=2)
