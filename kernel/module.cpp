@@ -214,6 +214,32 @@ NB_MODULE(_kernel, m) {
         nb::arg("frame"), nb::arg("size"), nb::arg("image"), nb::arg("level"), nb::arg("threads"),
         "Radiance of a lit sphere [side, side, 3] at each normal into an image [B, 3, H, W].");
     m.def(
+        "look_up_mirror",
+        [](MapOf normal, std::optional<MapOf> view, std::optional<MapOf> position,
+           std::optional<MapOf> camera, std::optional<MapOf> mask, std::int64_t values,
+           std::array<int, 2> nodes, std::array<float, 14> grid, std::array<std::int64_t, 3> size,
+           std::int64_t image, const std::string& level, int threads) {
+            Scene s;
+            s.batch = size[0], s.rows = size[1], s.columns = size[2];
+            s.normal = as_map(normal), s.view = as_map(view), s.position = as_map(position);
+            s.camera = as_map(camera), s.mask = as_map(mask);
+            s.mirror.values = reinterpret_cast<const float*>(values);
+            s.mirror.count = nodes[0], s.mirror.side = nodes[1];
+            std::copy(grid.begin(), grid.begin() + 9, s.mirror.axes);
+            for (int k = 0; k < 2; ++k) s.mirror.low[k] = grid[9 + k], s.mirror.step[k] = grid[11 + k];
+            s.mirror.rim = grid[13];
+            s.table.values = s.mirror.values;
+            s.table.row = 3L * nodes[1];  // and no slabs, as for `look_up`
+            s.image = reinterpret_cast<float*>(image);
+            nb::gil_scoped_release released;
+            run(s, level, threads);
+        },
+        nb::arg("normal"), nb::arg("view").none(), nb::arg("position").none(),
+        nb::arg("camera").none(), nb::arg("mask").none(), nb::arg("values"), nb::arg("nodes"),
+        nb::arg("grid"), nb::arg("size"), nb::arg("image"), nb::arg("level"), nb::arg("threads"),
+        "Radiance of a table [count, count, side, side, 3] over views and mirror directions into an "
+        "image [B, 3, H, W]; NaN where a node that is NaN is read.");
+    m.def(
         "differentiate",
         [](TableOf table, WarpOf warp, MapOf normal, MapOf light, MapOf view, MapOf gradient,
            std::array<std::int64_t, 3> size, std::array<std::int64_t, 3> maps, std::int64_t sums,

@@ -57,6 +57,16 @@ struct LitSphere {
     float frame[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
 };
 
+// Radiance over mirror directions, [count, count, side, side, 3]: an octahedral map for each view of
+// a grid (mirror_table.py). `axes` holds two across and the middle view.
+struct MirrorTable {
+    const float* values = nullptr;
+    int side = 0, count = 0;
+    float axes[9] = {0, 0, 0, 0, 0, 0, 0, 0, 0};
+    float low[2] = {0, 0}, step[2] = {0, 0};  // of the views, along the axes across
+    float rim = 0;                            // N·V below which R is turned with V
+};
+
 struct Scene {
     long batch = 0, rows = 0, columns = 0;
     Map normal, light, view, position, mask;  // without data where the scene has none
@@ -64,6 +74,7 @@ struct Scene {
     Map camera;                               // [B, 3]; the view is camera − position where given
     bool lit = false;                         // by lights; else f_r itself, with `light` as a map
     LitSphere sphere;                         // instead of lights, where it has values
+    MirrorTable mirror;                       // the same
     const Light* lights = nullptr;            // [lights, batch]
     int light_count = 0;
     bool bounded = false;  // by the tiles' positions: some light has an end

@@ -266,21 +266,4 @@ struct ShadedTile : Tile<V> {
     }
 };
 
-template <class V>
-void shade_tiles(const Scene& scene, long first_tile, long last_tile) {
-    const long across = tiles_per_row(scene);
-    for (long i = first_tile; i < last_tile; ++i) {
-        const long line = i / across;
-        ShadedTile<V> tile(scene, line / scene.rows, line % scene.rows, i % across * tile_pixels);
-        tile.select_pixels();
-        if (scene.sphere.values)
-            tile.look_up();
-        else if (scene.lit)
-            tile.shade();
-        else
-            tile.reflect();
-    }
-    V::fence();
-}
-
 }  // namespace raden

@@ -1,7 +1,7 @@
 #include "vector_avx512.h"
 
 #include "gradient.h"
-#include "shade.h"
+#include "mirror.h"
 #include "turned.h"
 
 void raden::shade_tiles_avx512(const Scene& scene, long first_tile, long last_tile) {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -56,6 +57,11 @@ class Dressing:
     ground: int
     polish: Coated
 
+    @cached_property
+    def _textures(self) -> dict[int, Tensor]:
+        """Each part's maps below each other."""
+        return {k: torch.cat([c.weights, c.layers, c.flakes]) for k, c in self.charts.items()}
+
     def at(self, box: Box, hits: Hits, eye: Tensor, pixel: float) -> Dressed:
         """The maps where rays hit the box.
 
@@ -73,7 +79,7 @@ class Dressing:
             chart = self.charts.get(part)
             if chart is None or not len(where):
                 continue
-            texture = torch.cat([chart.weights, chart.layers, chart.flakes])
+            texture = self._textures[part]
             read = _read(box, part, texture, hits.position[:, where], normal[:, where], eye, pixel)
             weights[:, where] = read[:-4]
             axes = _axes(part).to(normal)

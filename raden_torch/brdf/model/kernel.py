@@ -121,6 +121,43 @@ def look_up(sphere: LitSphere, normal: Tensor, mask: Tensor | None) -> Tensor:
     return image
 
 
+def look_up_mirror(
+    table: Tensor,
+    nodes: tuple[int, int],
+    grid: Sequence[float],
+    normal: Tensor,
+    view: Tensor | None,
+    position: Tensor | None,
+    camera: Tensor | None,
+    mask: Tensor | None,
+) -> Tensor:
+    """The radiance of a table over views and mirror directions (`shading/mirror_table.py`), 0
+    where the surface is not seen, times the mask; NaN where a node that is NaN is read.
+
+    Args:
+        table: `[views · S, S, 3]` with room behind it.
+        nodes: views along each side of their grid, and S.
+        grid: its axes (9), lowest node (2), step (2); N·V below which R is turned with V.
+        normal, view, position, camera, mask: as for `shade`, on the CPU.
+    """
+    b, _, h, w = normal.shape
+    image = torch.empty(normal.shape, dtype=torch.float32, device=_CPU)
+    given = (normal, view, position, _as_map(camera), mask)
+    maps = [None if m is None else m.float().expand(b, -1, h, w) for m in given]
+    if image.numel() > 0:
+        _kernel.look_up_mirror(
+            *(None if m is None else _address(m) for m in maps),
+            table.data_ptr(),
+            nodes,
+            tuple(grid),
+            (b, h, w),
+            image.data_ptr(),
+            _level(),
+            torch.get_num_threads(),
+        )
+    return image
+
+
 def asks_for_gradient(model: RadenBrdf, *inputs: Tensor | None) -> bool:
     """Whether autograd records what is done with these."""
     tensors = (*inputs, *model.parameters(), model.diffuse_gain, model.specular_gain)

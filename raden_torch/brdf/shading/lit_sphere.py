@@ -11,6 +11,7 @@ the horizon is the square's edge.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -104,5 +105,10 @@ def _normals(side: int, frame: Tensor) -> Tensor:
 def _rows(image: Tensor) -> Tensor:
     """`[1, 3, S, S]` → `[S, S, 3]` in one piece, with room behind it."""
     rows = image[0].movedim(0, -1)
-    room = rows.new_zeros(rows.numel() + _PADDING, dtype=torch.float32)
-    return room[: rows.numel()].view(rows.shape).copy_(rows)
+    return with_room(tuple(rows.shape)).copy_(rows)
+
+
+def with_room(shape: tuple[int, ...]) -> Tensor:
+    """Zeros in one piece, with room behind them that a vector load may touch."""
+    count = math.prod(shape)
+    return torch.zeros(count + _PADDING)[:count].view(shape)

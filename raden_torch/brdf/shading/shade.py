@@ -22,7 +22,7 @@ from raden_torch.brdf.model.parts import parts_of
 from raden_torch.brdf.shading import latlong
 from raden_torch.brdf.shading.area_lights import AreaLight
 from raden_torch.brdf.shading.by_material import shade_palette
-from raden_torch.brdf.shading.eager import is_recorded, maps_of, masked, shade_eagerly, surface_of
+from raden_torch.brdf.shading.eager import is_recorded, maps_of, shade_eagerly
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.brdf.shading.from_afar import surroundings_from_afar
 from raden_torch.brdf.shading.fused import (
@@ -261,12 +261,10 @@ def _under_surroundings(
         found = surroundings_from_afar(model, gbuffer.normal, mask, view, lights)
         if found is not None:
             return found
-    surface = surface_of(gbuffer, model.working_dtype(*maps_of(gbuffer)))
-    shape = torch.broadcast_shapes(surface.normal.shape, surface.view.shape)
-    image = surface.normal.new_zeros(shape)
+    image = torch.zeros(gbuffer.normal.shape)
     for light in lights:
-        image = image + shade_surroundings(model, surface.normal, surface.view, light)
-    return masked(image.to(surface.normal.dtype), gbuffer.mask)
+        image = image + shade_surroundings(model, gbuffer, light)
+    return image.to(model.working_dtype(*maps_of(gbuffer)))
 
 
 def _that_matter(

@@ -1,10 +1,9 @@
-"""A frame under an environment: radiance as a table over the mirror direction and the view.
+"""A frame under an environment, read from a table over the mirror direction and the view.
 
-The lit sphere (Sloan et al. 2001) for surroundings and for cameras that are not at infinity. What
-a pixel shows depends on N and V. Over the mirror direction R = 2 (N·V) N − V it hardly depends on
-V as long as V changes little, as it does across a frame; so a few tables over R, one for each node
-of a grid of views, are read bilinearly in both. Only nodes that the frame reads are computed. The
-table is refined until pixels of the frame that are computed by themselves agree with it.
+The lit sphere (Sloan et al. 2001) for surroundings and for cameras that are not at infinity
+(`mirror_table.py`). Only nodes that the frame reads are computed. The table is refined until pixels
+of the frame that are computed by themselves agree with it. Of a large frame, every so many pixels
+tell which nodes are read; the few pixels that read others are computed by themselves.
 
 Nodes of a measured model are summed over distant lamps by the fused kernel; those of other
 materials, which may be polished, by a quadrature about R (`mirror_rings.py`) from the surroundings
@@ -14,39 +13,47 @@ blurred by the size of its cells (`latlong.SphereBlur`), which are kept for as l
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
-from torch.nn.functional import grid_sample, normalize
 
+from raden_torch import geometry
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.shading.eager import masked
 from raden_torch.brdf.shading.environment import EnvironmentLight
+from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.kept_by_map import KeptByMap
 from raden_torch.brdf.shading.latlong import (
     SphereBlur,
     about_y,
     octahedral,
-    octahedral_directions,
 )
 from raden_torch.brdf.shading.lights import packed
 from raden_torch.brdf.shading.mirror_rings import mirror_axes, ring_weights, rings, row_of
+from raden_torch.brdf.shading.mirror_table import (
+    MirrorTable,
+    ViewGrid,
+    maps_of,
+    nodes_read,
+    read_map,
+)
 from raden_torch.brdf.shading.triples import checked
 
 _SIDES = (97, 145, 217, 325, 487)
 """Nodes along each side of the tables over R, coarsest first."""
-_VIEW_STEP = math.radians(8.0)
-_RIM = 0.25
-"""N·V below which a pixel is near the silhouette."""
 SURE = 0.99
 """The share of pixels that has to be within the tolerance."""
 PROBES = 1500
 """Pixels that are computed by themselves, to know the error."""
 _CHUNK = 1 << 11
-_BLOCK = 1 << 16
+_WHOLE = 1 << 16
+"""Of a larger frame, about so many pixels decide which nodes a table has."""
+_BEYOND = 0.03
+"""Of the span of their views: how far the table's views reach beyond it."""
 
 _SIGMA = 0.5
 """Of a cell's size: Gaussians as wide as this cover evenly."""
@@ -100,7 +107,7 @@ class Surroundings:
             local = ring.directions().float()[used]
             light = torch.einsum("ja,nac->cnj", local, axes)
             u, v = octahedral(*light)
-            total += (_read(level, u, v) * w[:, :, used]).sum(-1)
+            total += (read_map(level, u, v) * w[:, :, used]).sum(-1)
         return total.T
 
 
@@ -117,148 +124,92 @@ def levels_of(radiance: Tensor) -> list[Tensor]:
     return _levels.get(radiance, None, make)
 
 
-def _read(image: Tensor, u: Tensor, v: Tensor) -> Tensor:
-    """`[C, n, J]` of `[C, H, W]`, bilinear, shared among the threads by images of a batch."""
-    threads = torch.get_num_threads() if u.shape[0] % torch.get_num_threads() == 0 else 1
-    at = torch.stack([u, v], dim=-1).view(threads, -1, *u.shape[1:], 2)
-    found = grid_sample(image.expand(threads, -1, -1, -1), at, align_corners=True)
-    return found.transpose(0, 1).reshape(len(image), *u.shape)
-
-
-def shade_surroundings(
-    material: Reflection, normal: Tensor, view: Tensor, light: EnvironmentLight
-) -> Tensor:
-    """`[B, 3, H, W]` float32 radiance of unit (or zero) normals and views."""
+def shade_surroundings(material: Reflection, gbuffer: GBuffer, light: EnvironmentLight) -> Tensor:
+    """`[B, 3, H, W]` float32 radiance, times the mask."""
+    radiance = _radiance_under(material, light)
+    factor = checked("intensity", light.intensity, may_be_one=True).float().view(-1, 1, 1)
+    maps = [m for m in maps_of(gbuffer) if m is not None]
+    if gbuffer.normal.numel() > 3 * _WHOLE and kernel.takes_tensors(*maps):
+        table = _table_of_some(radiance, gbuffer, light.tolerance)
+        if table is None or table.is_numbered:
+            image = None if table is None else table.read(gbuffer)
+            return _completed(radiance, gbuffer, image).mul_(factor)
+    normal, view = _unit_maps(gbuffer)
     size = torch.broadcast_shapes(normal.shape, view.shape)
     shape = (size[0], 3, *normal.shape[2:])
-    n = normal.float().expand(shape).movedim(1, -1).reshape(-1, 3)
     distant = view.shape[-2:] == (1, 1) and view.shape[0] == 1
-    v = view.float().expand(shape).movedim(1, -1).reshape(-1, 3)
+    n, v = (m.expand(shape).movedim(1, -1).reshape(-1, 3) for m in (normal, view))
     seen = ((n * v).sum(1) > 0).nonzero()[:, 0]
     n, v = n[seen], v[seen]
-    radiance = _radiance_under(material, light)
-    table = _fitting_table(radiance, n, v[:1] if distant else v, light.tolerance)
-    shown = radiance(n, v) if table is None else table.read_pixels(n, v)
+    table = _fitting_table(radiance, n, v[:1] if distant else v, len(n), light.tolerance)
     image = n.new_zeros(shape[0] * shape[2] * shape[3], 3)
-    image[seen] = shown
-    factor = checked("intensity", light.intensity, may_be_one=True).float()
-    return (image * factor).view(shape[0], *shape[2:], 3).movedim(-1, 1)
+    image[seen] = radiance(n, v) if table is None else table.read_pixels(n, v)
+    image = image.view(shape[0], *shape[2:], 3).movedim(-1, 1)
+    return masked(image * factor, gbuffer.mask)
 
 
-@dataclass(frozen=True)
-class ViewGrid:
-    """A grid of views that spans those of a frame: `count` x `count` about a middle one.
+def _unit_maps(gbuffer: GBuffer, step: int = 1) -> tuple[Tensor, Tensor]:
+    """Unit normals and views, of every `step`-th row and column."""
+    first = step // 2
 
-    Attributes:
-        axes: `[3, 3]`, rows: across, up, and the middle view.
-        low: `[2]`, the first node across and up.
-        step: `[2]`; 0 where one view stands for all.
-        count: nodes along each side.
-    """
+    def some(m: Tensor) -> Tensor:
+        rows, columns = (slice(first, None, step) if n > 1 else slice(None) for n in m.shape[2:])
+        return m[:, :, rows, columns].float()
 
-    axes: Tensor
-    low: Tensor
-    step: Tensor
-    count: int
-
-    @classmethod
-    def over(cls, views: Tensor) -> ViewGrid | None:
-        """None where they span more than a hemisphere can show well."""
-        middle = normalize(views.mean(0), dim=0)
-        if float((views @ middle).min()) < 0.5:
-            return None
-        least = torch.nn.functional.one_hot(middle.abs().argmin(), 3).to(middle)
-        across = normalize(torch.linalg.cross(least, middle), dim=0)
-        axes = torch.stack([across, torch.linalg.cross(middle, across), middle])
-        flat = views @ axes[:2].T
-        low, high = flat.amin(0), flat.amax(0)
-        span = float((high - low).max())
-        count = 1 if span < 1e-3 else 1 + math.ceil(span / _VIEW_STEP)
-        if count == 1:
-            return cls(axes, (low + high) / 2, torch.zeros(2), 1)
-        return cls(axes, low, (high - low).clamp(min=1e-6) / (count - 1), count)
-
-    def views(self) -> Tensor:
-        """`[count², 3]`, row by row."""
-        steps = torch.arange(self.count, dtype=torch.float32)
-        y, x = torch.meshgrid(steps, steps, indexing="ij")
-        flat = self.low + torch.stack([x, y], -1).view(-1, 2) * self.step
-        up = (1 - (flat * flat).sum(1, keepdim=True)).clamp(min=0).sqrt()
-        return normalize(torch.cat([flat, up], 1) @ self.axes, dim=1)
-
-    def corners(self, views: Tensor) -> list[tuple[Tensor, Tensor]]:
-        """Node and weight `[N]` of each node that is read for a view."""
-        if self.count == 1:
-            zero = torch.zeros(len(views), dtype=torch.long)
-            return [(zero, torch.ones(len(views)))]
-        at = ((views @ self.axes[:2].T - self.low) / self.step).clamp(0, self.count - 1)
-        low = at.long().clamp(max=self.count - 2)
-        (x, y), (fx, fy) = low.T, (at - low).T
-        return [
-            ((y + j) * self.count + x + i, (fx if i else 1 - fx) * (fy if j else 1 - fy))
-            for j in (0, 1)
-            for i in (0, 1)
-        ]
+    normal, view, position, camera, _ = maps_of(gbuffer)
+    if view is None:
+        assert position is not None
+        assert camera is not None
+        view = camera.float()[..., None, None] - some(position)
+    else:
+        view = some(view)
+    return geometry.normalised(some(normal)), geometry.normalised(view)
 
 
-@dataclass(frozen=True)
-class MirrorTable:
-    """Radiance over R, once for each view of a grid.
+def _table_of_some(radiance: Radiance, gbuffer: GBuffer, tolerance: float) -> MirrorTable | None:
+    """A table for a large frame, made for some of its pixels, evenly, and what is beside them."""
+    _, _, height, width = gbuffer.normal.shape
+    step = max(1, min(height, width, math.isqrt(gbuffer.normal.numel() // 3 // _WHOLE)))
+    normal, view = _unit_maps(gbuffer, step)
+    shape = torch.broadcast_shapes(normal.shape, view.shape)
+    distant = view.shape[-2:] == (1, 1) and view.shape[0] == 1
+    n, v = (m.expand(shape).movedim(1, -1).reshape(-1, 3) for m in (normal, view))
+    seen = (n * v).sum(1) > 0
+    if gbuffer.mask is not None:
+        mask = gbuffer.mask.expand(shape[0], 1, height, width)
+        seen &= (mask[:, :, step // 2 :: step, step // 2 :: step] > 0).flatten()
+    n, v = n[seen], v[seen]
+    pixels = len(n) * step**2
+    return _fitting_table(radiance, n, v[:1] if distant else v, pixels, tolerance, wider=True)
 
-    Attributes:
-        radiance: `[3, views · S, S]`, one octahedral map below the other.
-        side: S.
-    """
 
-    radiance: Tensor
-    side: int
-    grid: ViewGrid
-
-    def read_pixels(self, normal: Tensor, view: Tensor) -> Tensor:
-        """`[N, 3]` for unit normals and views `[N, 3]`."""
-        image = torch.empty_like(normal)
-        height = self.radiance.shape[1]
-        for block in range(0, len(normal), _BLOCK):
-            here = slice(block, block + _BLOCK)
-            total = torch.zeros(3, len(normal[here]))
-            for node, weight, u, v in _places(self.grid, normal[here], view[here]):
-                row = (v + 1) * ((self.side - 1) / 2) + node * self.side
-                found = _read(self.radiance, u[:, None], (row * (2 / (height - 1)) - 1)[:, None])
-                total += found[..., 0] * weight
-            image[here] = total.T
+def _completed(radiance: Radiance, gbuffer: GBuffer, image: Tensor | None) -> Tensor:
+    """An image with the pixels that are missing in it (NaN) computed by themselves."""
+    normal, view, position, camera, mask = maps_of(gbuffer)
+    b, _, h, w = normal.shape
+    if image is None:
+        image = torch.full((b, 3, h, w), torch.nan)
+    which, row, column = image[:, 0].isnan().nonzero(as_tuple=True)
+    if not len(which):
         return image
 
+    def at(m: Tensor) -> Tensor:
+        return m.expand(b, -1, h, w)[which, :, row, column].float().T[:, None]  # [C, 1, P]
 
-def _places(
-    grid: ViewGrid, normal: Tensor, view: Tensor
-) -> Iterator[tuple[Tensor, Tensor, Tensor, Tensor]]:
-    """For each view of the grid that a pixel is read from: which, its weight, where in its map.
-
-    That is at the pixel's R. Near the silhouette R tells N·V badly, which matters most there: R
-    is turned as V is turned to the grid's view.
-    """
-    cosine = (normal * view).sum(1, keepdim=True)
-    mirror = (2 * cosine) * normal - view
-    rim = (cosine[:, 0] < _RIM).nonzero()[:, 0] if grid.count > 1 else None
-    plain = octahedral(*mirror.T)
-    nodes = grid.views()
-    for node, weight in grid.corners(view):
-        u, v = plain
-        if rim is not None and len(rim):
-            turned = _turned(mirror[rim], view[rim], nodes[node[rim]])
-            u, v = (
-                m.clone().index_copy_(0, rim, part)
-                for m, part in zip(plain, octahedral(*turned.T), strict=True)
-            )
-        yield node, weight, u, v
-
-
-def _turned(vector: Tensor, start: Tensor, end: Tensor) -> Tensor:
-    """`[N, 3]` vectors by the shortest turn from one unit vector to another, not its opposite."""
-    axis = torch.linalg.cross(start, end, dim=1)
-    cosine = (start * end).sum(1, keepdim=True)
-    along = (axis * vector).sum(1, keepdim=True) / (1 + cosine)
-    return vector * cosine + torch.linalg.cross(axis, vector, dim=1) + axis * along
+    n, v = at(normal), None if view is None else at(view)
+    if v is None:
+        assert position is not None
+        assert camera is not None
+        v = at(camera[..., None, None]) - at(position)
+    n, v = geometry.normalised(n)[:, 0].T, geometry.normalised(v)[:, 0].T
+    seen = (n * v).sum(1) > 0
+    found = torch.zeros_like(n)
+    found[seen] = radiance(n[seen], v[seen])
+    if mask is not None:
+        share = torch.nan_to_num(at(mask)[0, 0], nan=0.0).clamp(0, 1)
+        found *= share[:, None]
+    image[which, :, row, column] = found
+    return image
 
 
 def _radiance_under(material: Reflection, light: EnvironmentLight) -> Radiance:
@@ -285,49 +236,37 @@ def lamps_of(light: EnvironmentLight) -> Tensor:
 
 
 def _fitting_table(
-    radiance: Radiance, normal: Tensor, view: Tensor, tolerance: float
+    radiance: Radiance,
+    normal: Tensor,
+    view: Tensor,
+    pixels: int,
+    tolerance: float,
+    wider: bool = False,
 ) -> MirrorTable | None:
-    """A table within the tolerance, or None where pixels by themselves are done sooner."""
-    pixels = len(normal)
+    """A table within the tolerance, or None where pixels by themselves are done sooner.
+
+    Args:
+        normal: `[N, 3]` of all pixels that count, or of some.
+        pixels: how many count.
+        wider: whether other pixels than these are read from it, too.
+    """
     if pixels < 4 * PROBES:
         return None
-    grid = ViewGrid.over(view)
+    grid = ViewGrid.over(view, _BEYOND if wider else 0.0)
     if grid is None:
         return None
-    probes = torch.linspace(0, pixels - 1, PROBES).long()
-    n, v = normal[probes], view.expand(pixels, 3)[probes]
+    view = view.expand(len(normal), 3)
+    probes = torch.linspace(0, len(normal) - 1, min(PROBES, len(normal))).long()
+    n, v = normal[probes], view[probes]
     truth = radiance(n, v)
     allowed = tolerance * float(truth.abs().max())
     for side in _SIDES:
-        used = _nodes_read(grid, normal, view.expand(pixels, 3), side)
+        used = nodes_read(grid, normal, view, side, wider)
         if int(used.sum()) > pixels / 2:
             return None
-        table = _table(radiance, grid, used, side)
-        error = (table.read_pixels(n, v) - truth).abs().amax(1)
+        table = MirrorTable.of(radiance, grid, used, torch.nan if wider else 0.0)
+        # a pixel that reads a missing node is computed by itself
+        error = (table.read_pixels(n, v) - truth).abs().nan_to_num(nan=0.0).amax(1)
         if float(error.quantile(SURE)) <= allowed:
             return table
     return None
-
-
-def _nodes_read(grid: ViewGrid, normal: Tensor, view: Tensor, side: int) -> Tensor:
-    """`[views, S, S]` bool: the nodes that a frame's pixels are read from."""
-    used = torch.zeros(grid.count**2, side, side, dtype=torch.bool)
-    for n, w in zip(normal.split(_BLOCK), view.split(_BLOCK), strict=True):
-        for node, _, *place in _places(grid, n, w):
-            x, y = (((m + 1) * ((side - 1) / 2)).long().clamp(0, side - 2) for m in place)
-            used.view(-1)[(node * side + y) * side + x] = True
-    for shift in (1, 2):
-        used |= used.roll(1, dims=shift)
-    return used
-
-
-def _table(radiance: Radiance, grid: ViewGrid, used: Tensor, side: int) -> MirrorTable:
-    which, row, column = used.nonzero(as_tuple=True)
-    mirror = octahedral_directions(side).float()[:, row, column].T
-    view = grid.views()[which]
-    half = mirror + view
-    # R = −V is the silhouette, where N is any normal across V
-    normal = normalize(half, dim=1)
-    values = torch.zeros(3, grid.count**2 * side, side)
-    values.view(3, -1)[:, used.flatten()] = radiance(normal, view).T
-    return MirrorTable(values, side, grid)

@@ -260,9 +260,9 @@ def test_lamps_that_stand_for_an_environment_are_left_out(model, tolerance) -> N
 def test_a_dim_environment_is_left_out_whole(model, monkeypatch) -> None:
     shaded: list[EnvironmentLight] = []
 
-    def spy(model, normal, view, light):
+    def spy(model, gbuffer, light):
         shaded.append(light)
-        return torch.zeros(normal.shape)
+        return torch.zeros(gbuffer.normal.shape)
 
     monkeypatch.setattr(shade_module, "shade_surroundings", spy)
     dim = EnvironmentLight(torch.full((3, 8, 16), 1e-3))
