@@ -1,4 +1,4 @@
-"""The table over mirror directions and views: by the kernel as in torch, and a frame read from it."""
+"""The table over mirror directions and views: by the kernel as in torch; missing nodes."""
 
 from __future__ import annotations
 
