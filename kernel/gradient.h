@@ -117,7 +117,7 @@ struct GradientTile : Tile<V> {
     void differentiate_address(int g, unsigned lanes, const Visit& visit, V by_address[3]) {
         const Table& table = scene.table;
         const int i = g * V::lanes;
-        float* slopes = this->rgb;
+        alignas(64) float slopes[4 * V::lanes];
         for (int k = 0; k < V::lanes; ++k) {
             if (lanes >> k & 1)
                 slopes_at(by_address[0], table, cells.first[i + k], visit, k, slopes + 4 * k);

@@ -45,17 +45,18 @@ class _Balanced(torch.autograd.Function):
     def forward(ctx: Any, values: Tensor) -> Tensor:
         total, most = _twelfth_of_differences(values), values.abs().mul_(_MOST_BALANCE)
         if ctx.needs_input_grad[0]:
-            sign = torch.where(total.abs() < most, 0, total.sign().mul_(values.sign()))
-            ctx.save_for_backward(values, sign)  # sign: of what is held back; else 0
+            free = total.abs() <= most
+            sign = torch.where(free, 0, total.sign().mul_(values.sign()))  # 0 of a value of 0, too
+            ctx.save_for_backward(values, free, sign)
         return values - torch.clamp(total, most.neg(), most, out=total)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Tensor:
-        (values, sign), (gradient,) = ctx.saved_tensors, gradients
+        (values, free, sign), (gradient,) = ctx.saved_tensors, gradients
         if torch.is_grad_enabled():  # somebody wants the gradient of the gradient
             (found,) = torch.autograd.grad(_balanced(values), values, gradient, create_graph=True)
             return found
-        within = torch.where(sign == 0, gradient, 0)
+        within = torch.where(free, gradient, 0)
         held = sign.mul(gradient).mul_(_MOST_BALANCE)
         return torch.sub(gradient, held, out=held).sub_(_twelfth_of_differences(within, True))
 
