@@ -6,31 +6,21 @@ One template gives GLSL ES 3.00 (WebGL 2) and WGSL (WebGPU). The formulas are th
 
 from __future__ import annotations
 
-import json
 import os
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
 
 from raden_torch import __version__
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.errors import InputError, check_type
 from raden_torch.export.forms import RuntimeForm, form_of
-from raden_torch.export.whole_reflection import highlight_roughness, view_albedo
+from raden_torch.export.table_file import texels_of, write_table
 from raden_torch.files import check_outputs, written_beside
 
 LANGUAGES = {".glsl": "GLSL ES 3.00 (WebGL 2)", ".wgsl": "WGSL (WebGPU)"}
-FORMAT = "raden_torch shader table"
-FORMAT_VERSION = 1
-LARGEST_SIDE = 256
-"""Texels along an axis of a 3-D texture that every WebGL 2 device takes."""
-
-_TEXEL_BYTES = 8
-
 # FLOAT, VEC3 and BOOL declare a constant; CHOOSE(a, b, c) is b where c is true, else a. Nothing
 # branches. N·(L × d) = (N × L)·d.
 _FUNCTION = """\
@@ -132,66 +122,12 @@ def export_shader(model: RadenBrdf, path: str | os.PathLike[str]) -> ShaderRepor
         raise InputError(f"{text}: suffix: expected {' or '.join(LANGUAGES)}, got {text.suffix!r}")
     form = form_of(model, "runtime")
     assert isinstance(form, RuntimeForm)
-    texture, change = half_precision_texture(form)
-    described = describe(form, model.provenance, table.name)
     source = shader_source(form, model.provenance, text.suffix, table.name)
-    for target, data in (
-        (table, texture.tobytes()),
-        (about, (json.dumps(described, indent=1) + "\n").encode()),
-        (text, source.encode()),
-    ):
-        with written_beside(target) as temporary:
-            temporary.write_bytes(data)
-    texels = _texels(form)
-    return ShaderReport(
-        LANGUAGES[text.suffix], (text, table, about), texels, texture.nbytes, change
-    )
-
-
-def half_precision_texture(form: RuntimeForm) -> tuple[np.ndarray, float]:
-    """`[U, V, W, 4]` little-endian float16 with alpha 1, and the largest change over the peak.
-
-    Raises:
-        InputError: a value is not finite in half precision, or a side is too long.
-    """
-    shape = form.table.shape[:3]
-    if max(shape) > LARGEST_SIDE:
-        raise InputError(
-            f"runtime table: expected at most {LARGEST_SIDE} nodes along each axis, as a texture "
-            f"takes, got {list(shape)}; set model.layout to a RuntimeLayout with fewer"
-        )
-    single = form.table.detach().float()
-    half = single.half()
-    if not torch.isfinite(half).all():
-        raise InputError(
-            "model: expected f_r within half precision, 65504 per sr, got "
-            f"{float(single.abs().max()):.4g}"
-        )
-    peak = float(single.abs().max())
-    change = float((half.float() - single).abs().max()) / peak if peak else 0.0
-    texture = np.ones((*shape, 4), "<f2")
-    texture[..., :3] = half.numpy()
-    return texture, change
-
-
-def describe(form: RuntimeForm, source: Provenance, table: str) -> dict[str, Any]:
-    """What the JSON file beside a table says: how to read it, and what it is."""
-    x, y, z = _texels(form)
-    return {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "table": table,
-        "width": x,
-        "height": y,
-        "depth": z,
-        "texel": "RGBA, float16, little-endian; x fastest, then y",
-        "bytes": x * y * z * _TEXEL_BYTES,
-        "quantity": "f_r in 1/sr, linear RGB with sRGB primaries",
-        "warp": list(form.warp),
-        "directional_albedo": view_albedo(form),
-        "roughness": round(highlight_roughness(form), 4),
-        "source": {k: v for k, v in asdict(source).items() if k != "fit"},
-    }
+    size, change = write_table(form, model.provenance, table, about)
+    with written_beside(text) as temporary:
+        temporary.write_bytes(source.encode())
+    files = (text, table, about)
+    return ShaderReport(LANGUAGES[text.suffix], files, texels_of(form), size, change)
 
 
 def shader_source(form: RuntimeForm, source: Provenance, suffix: str, table: str) -> str:
@@ -202,7 +138,7 @@ def shader_source(form: RuntimeForm, source: Provenance, suffix: str, table: str
         suffix: of `LANGUAGES`.
         table: the name of the table's file, for the comment.
     """
-    texels = _texels(form)
+    texels = texels_of(form)
     # nodes are the texels' centres: v, w in −1…1 and u in 0…1
     scale = [(n - 1) / n / (1 if axis == 2 else 2) for axis, n in enumerate(texels)]
     offset = [0.5 / n if axis == 2 else 0.5 for axis, n in enumerate(texels)]
@@ -254,12 +190,6 @@ def _wgsl(body: str) -> str:
 
 def _indented(body: str) -> str:
     return "".join(f"    {line}\n" for line in body.splitlines())
-
-
-def _texels(form: RuntimeForm) -> tuple[int, int, int]:
-    """Along x, y and z: the nodes along w, v and u."""
-    u, v, w = form.table.shape[:3]
-    return w, v, u
 
 
 def _number(x: float) -> str:

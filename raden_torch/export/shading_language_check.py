@@ -11,17 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from raden_torch import geometry
 from raden_torch.brdf.files.display import to_display
-from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError
 from raden_torch.export.forms import RuntimeForm
-from raden_torch.export.shading_language import FORMAT, FORMAT_VERSION, LANGUAGES
+from raden_torch.export.shading_language import LANGUAGES
 from raden_torch.export.stress_inputs import cases
+from raden_torch.export.table_file import described, form_in
 from raden_torch.export.workers.worker import PROGRAMS, Worker, WorkerError
 
 LIMIT = 1 / 255
@@ -67,8 +66,8 @@ def verify_shader(path: str | os.PathLike[str], *, node_modules: Path) -> Shader
             it gives another picture.
     """
     path = Path(path)
-    about, table = _described(path)
-    form = _form(path, about, table)
+    about, table = described(path)
+    form = form_in(path, about, table)
     with _browser(path, about, table, node_modules) as worker:
         return _compared(path, form, worker)
 
@@ -93,7 +92,7 @@ def draw_shader(
         InputError: as for `verify_shader`.
     """
     path = Path(path)
-    with _browser(path, *_described(path), node_modules) as worker:
+    with _browser(path, *described(path), node_modules) as worker:
         return _drawn(worker, *torch.broadcast_tensors(normal, light, view))
 
 
@@ -169,41 +168,3 @@ def _command(suffix: str, node_modules: Path) -> list[str]:
         )
     program = PROGRAMS / "graphics.mjs"
     return [node, str(program), str(node_modules), browser, suffix[1:]]
-
-
-def _described(path: Path) -> tuple[dict[str, Any], bytes]:
-    """The table's description, checked, and the table."""
-    beside = path.with_suffix(".json")
-    try:
-        about = json.loads(beside.read_text("utf-8"))
-        known = about["format"], about["format_version"]
-        table = path.with_name(Path(about["table"]).name).read_bytes()
-        path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            f"{error.filename}: expected a file of `raden export`, got an error: {error.strerror}"
-        ) from None
-    except (ValueError, KeyError, TypeError):
-        raise InputError(f"{beside}: expected the description of a shader's table") from None
-    if known != (FORMAT, FORMAT_VERSION):
-        raise InputError(
-            f"{beside}: expected {FORMAT!r} version {FORMAT_VERSION}, got {known[0]!r} version "
-            f"{known[1]!r}"
-        )
-    return about, table
-
-
-def _form(path: Path, about: dict[str, Any], table: bytes) -> RuntimeForm:
-    beside = path.with_suffix(".json")
-    try:
-        shape = tuple(int(about[side]) for side in ("depth", "height", "width"))
-        layout = RuntimeLayout(shape, tuple(float(c) for c in about["warp"]))  # type: ignore[arg-type]
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{beside}: expected a table's sides and warp, got {error}") from None
-    values = np.frombuffer(table, "<f2") if len(table) == 8 * layout.nodes else None
-    if values is None:
-        raise InputError(
-            f"{path.with_name(about['table'])}: expected {8 * layout.nodes} bytes, got {len(table)}"
-        )
-    texels = torch.from_numpy(values.astype(np.float32)).reshape(*shape, 4)
-    return RuntimeForm(texels[..., :3].contiguous(), layout)

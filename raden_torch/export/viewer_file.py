@@ -14,7 +14,8 @@ from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError, check_type
 from raden_torch.export.forms import RuntimeForm, form_of
-from raden_torch.export.shading_language import half_precision_texture, shader_source
+from raden_torch.export.shading_language import shader_source
+from raden_torch.export.table_file import half_precision_texture
 from raden_torch.files import check_output, written_beside
 
 LARGEST_BYTES = 3_000_000
