@@ -34,6 +34,17 @@ class ExportOptions:
     """make the parameters constants: faster, but for this shell alone"""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class MeasuredOptions:
+    """What a .bsdf file holds."""
+
+    spectra: bool = False
+    """spectra, for pbrt-v4 and Mitsuba's spectral variants, in place of RGB"""
+    average: bool = False
+    """the mean of an anisotropic sample, and what the format holds no better than to 3 %"""
+
+
 def export(
     model: ModelFile,
     /,
@@ -42,25 +53,29 @@ def export(
         Path,
         output(
             "the file to write: .onnx; .glsl or .wgsl, with the table beside it; .html, a viewer; "
-            "or .gltf or .osl, the nearest material that these can say"
+            ".gltf or .osl, the nearest material that these can say; .xml, for Mitsuba 3, with the "
+            "table beside it; or .bsdf, for the material `measured` of Mitsuba and pbrt-v4"
         ),
     ],
     compare: Annotated[
         ModelFile | None, Parameter(help="a second model that the viewer shows beside the first")
     ] = None,
     how: ExportOptions = ExportOptions(),
+    measured: MeasuredOptions = MeasuredOptions(),
 ) -> None:
     check_output(output, tuple(_WRITERS), inputs=(model, compare))
     if compare is not None and output.suffix != ".html":
         raise InputError(f"--compare: expected with an .html file, got {output.suffix}")
     if output.suffix != ".onnx":
         _refuse(how, "an .onnx file", output.suffix)
+    if output.suffix != ".bsdf":
+        _refuse(measured, "a .bsdf file", output.suffix)
     with working("exporting"):
-        said = _WRITERS[output.suffix](_Export(model, output, compare, how))
+        said = _WRITERS[output.suffix](_Export(model, output, compare, how, measured))
     print(said)
 
 
-def _refuse(options: ExportOptions, wanted: str, suffix: str) -> None:
+def _refuse(options: ExportOptions | MeasuredOptions, wanted: str, suffix: str) -> None:
     for field in fields(options):
         if getattr(options, field.name) != field.default:
             raise InputError(f"--{field.name}: expected with {wanted}, got {suffix}")
@@ -74,6 +89,7 @@ class _Export:
     output: Path
     compare: Path | None
     how: ExportOptions
+    measured: MeasuredOptions
 
 
 def _onnx(what: _Export) -> str:
@@ -125,6 +141,24 @@ def _osl(what: _Export) -> str:
     return f"{export_osl(load_brdf(what.model, '.osl file'), what.output)}\nwrote {what.output}"
 
 
+def _plugin(what: _Export) -> str:
+    from raden_torch.brdf.files.model_file import load_model
+    from raden_torch.export.mitsuba.plugin_file import export_plugin
+
+    written = export_plugin(load_model(what.model), what.output)
+    return f"{written}\nwrote {', '.join(str(file) for file in written.files)}"
+
+
+def _measured(what: _Export) -> str:
+    from raden_torch.brdf.files.model_file import load_model
+    from raden_torch.export.measured.measured_file import export_measured
+
+    how = what.measured
+    model = load_model(what.model)
+    report = export_measured(model, what.output, spectra=how.spectra, average=how.average)
+    return f"{report}\nwrote {what.output}"
+
+
 _WRITERS: dict[str, Callable[[_Export], str]] = {
     ".onnx": _onnx,
     ".glsl": _shader,
@@ -132,6 +166,8 @@ _WRITERS: dict[str, Callable[[_Export], str]] = {
     ".html": _viewer,
     ".gltf": _gltf,
     ".osl": _osl,
+    ".xml": _plugin,
+    ".bsdf": _measured,
 }
 
 
@@ -148,15 +184,24 @@ def verify(
         Parameter(help="Python of another environment with onnxruntime; may be repeated"),
     ] = (),
 ) -> None:
+    with working(f"verifying {file.name}"):
+        said = _verified(file, node_modules, python)
+    print(said)
+
+
+def _verified(file: Path, node_modules: Path, pythons: tuple[Path, ...]) -> object:
+    if file.suffix == ".xml":
+        from raden_torch.export.mitsuba.check import verify_plugin
+
+        return verify_plugin(file)
+    if file.suffix == ".bsdf":
+        from raden_torch.export.measured.check import verify_measured
+
+        return verify_measured(file)
     from raden_torch.export.export import verify_onnx
     from raden_torch.export.shading_language import LANGUAGES
     from raden_torch.export.shading_language_check import verify_shader
 
     if file.suffix in LANGUAGES:
-        with working(f"verifying {file.name}"):
-            check = verify_shader(file, node_modules=node_modules)
-        print(check)
-        return
-    with working(f"verifying {file.name}"):
-        report = verify_onnx(file, node_modules=node_modules, pythons=python)
-    print(report)
+        return verify_shader(file, node_modules=node_modules)
+    return verify_onnx(file, node_modules=node_modules, pythons=pythons)

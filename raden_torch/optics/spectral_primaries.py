@@ -16,7 +16,8 @@ from scipy.optimize import LinearConstraint, minimize
 from raden_torch.arrays import Floats
 from raden_torch.optics.spectral_colour import VISIBLE_NM, spectrum_to_rgb
 
-_STEP_NM = 10.0
+STEP_NM = 20.0
+"""Between the nodes of the spectra, which are linear between them."""
 
 
 def primary_spectra(wavelength_nm: Floats) -> Floats:
@@ -28,7 +29,7 @@ def primary_spectra(wavelength_nm: Floats) -> Floats:
     Examples:
         >>> import numpy as np
         >>> from raden_torch.optics.spectral_colour import spectrum_to_rgb
-        >>> nm = np.arange(380.0, 781.0, 10.0)
+        >>> nm = np.arange(380.0, 781.0, 20.0)
         >>> orange = primary_spectra(nm) @ (0.9, 0.4, 0.1)
         >>> spectrum_to_rgb(orange, nm).round(4).tolist()
         [0.9, 0.4, 0.1]
@@ -39,7 +40,7 @@ def primary_spectra(wavelength_nm: Floats) -> Floats:
 
 @lru_cache(maxsize=1)
 def _primaries() -> tuple[Floats, Floats]:
-    nm = np.arange(VISIBLE_NM[0], VISIBLE_NM[1] + 1, _STEP_NM)
+    nm = np.arange(VISIBLE_NM[0], VISIBLE_NM[1] + 1, STEP_NM)
     count = len(nm)
     of_rgb = spectrum_to_rgb(np.eye(count), nm).T  # [3, W]
     bend = np.diff(np.eye(count), 2, axis=0)

@@ -9,9 +9,9 @@ import numpy as np
 
 from raden_torch.colorimetry import SRGB_LUMINANCE
 from raden_torch.optics.spectral_colour import VISIBLE_NM
-from raden_torch.optics.spectral_primaries import primary_spectra
+from raden_torch.optics.spectral_primaries import STEP_NM, primary_spectra
 
-_NODES = 81
+_NODES = 1 + round((VISIBLE_NM[1] - VISIBLE_NM[0]) / STEP_NM)
 
 
 def spectrum_of(mi: Any) -> Callable[[Any, Any], Any]:
