@@ -20,7 +20,7 @@ from raden_torch.export.table_file import read_form
 from raden_torch.packages import require
 
 NAME = "raden"
-COSINE_SHARE = 0.1
+COSINE_SHARE = 0.05
 """Of the samples that follow the cosine: what the lobes miss between their nodes is found, too."""
 
 _PARALLEL = (4 * float(np.finfo(np.float32).eps)) ** 2
