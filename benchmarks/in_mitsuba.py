@@ -1,15 +1,15 @@
 """Exported shells in Mitsuba 3: how far its pictures are from ours, how well the plugin samples.
 
 python benchmarks/in_mitsuba.py [--out benchmarks/results] [--size 128] [--picture mitsuba.png]
-    [--measurement pearl-paint.csv ...]
+    [--models shell.safetensors ...]
 
-For each simulated shell, and each measurement, three pictures of the sphere of `raden render` with
-its lamp: ours, the plugin's (`raden export -o .xml`) and that of Mitsuba's `measured` (`-o .bsdf`).
-Told are the mean relative difference of the lit pixels; the p-values of Mitsuba's chi-square test;
-and, of the sphere in two light setups, seen by samples of the BSDF alone, the mean variance of a
-pixel with the cosine's directions over that with the plugin's, and with `measured`'s, at equal
-samples. Writes in_mitsuba.json and, where asked, the pictures side by side. Needs the extra
-`simulate` and LLVM.
+For each model, by default those of the simulated shells, three pictures of the sphere of `raden
+render` with its lamp: ours, the plugin's (`raden export -o .xml`) and that of Mitsuba's `measured`
+(`-o .bsdf`). Told are the mean relative difference of the lit pixels; the p-values of Mitsuba's
+chi-square test; and, of the sphere in two light setups, seen by samples of the BSDF alone, the mean
+variance of a pixel with the cosine's directions over that with the plugin's, and with `measured`'s,
+at equal samples. Writes in_mitsuba.json and, where asked, the pictures side by side. Needs the
+extra `simulate` and LLVM.
 """
 
 from __future__ import annotations
@@ -97,17 +97,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results"))
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--picture", type=Path)
-    parser.add_argument("--shells", nargs="*", default=list(SPECIMENS))
-    parser.add_argument("--measurement", type=Path, nargs="*", default=[])
+    parser.add_argument("--models", type=Path, nargs="*", default=[])
     options = parser.parse_args()
-    sources = {name: rt.simulate_specimen(name) for name in options.shells}
-    sources |= {
-        path.name.partition(".")[0]: rt.load_measurement(path) for path in options.measurement
-    }
+    models = {path.stem: rt.load_model(path) for path in options.models}
+    if not models:
+        models = {name: rt.fit(rt.simulate_specimen(name)).model for name in SPECIMENS}
     rows, columns = [], []
     with tempfile.TemporaryDirectory() as folder:
-        for name, measurement in sources.items():
-            model = rt.fit(measurement).model
+        for name, model in models.items():
             row, pictures = compared(name, model, Path(folder), options.size)
             rows.append(row)
             print(json.dumps(row), flush=True)
@@ -117,7 +114,10 @@ def main() -> None:
     if options.picture:
         image = torch.from_numpy(np.concatenate(columns, 1)).float().movedim(-1, 0)[None]
         picture = to_display(image, auto_exposure_ev(image))[0]
-        names = ", ".join(f"{n} (simulated)" if n in SPECIMENS else n for n in sources)
+        names = ", ".join(
+            f"{name} (simulated)" if model.provenance.simulated else name
+            for name, model in models.items()
+        )
         caption = f"{names}; from above: raden render, Mitsuba's plugin, Mitsuba's measured"
         write_picture(picture, options.picture, caption)
 

@@ -76,6 +76,7 @@ def _plugin_class(mi: Any) -> Any:
 
         def _take(self, form: RuntimeForm) -> None:
             self.warp, self.shape = form.warp, form.layout.shape
+            self.table = tensor(mi, form.table.numpy())
             self.texture = mi.Texture3f(
                 tensor(mi, form.table.numpy()),
                 use_accel=False,
@@ -83,7 +84,9 @@ def _plugin_class(mi: Any) -> Any:
                 wrap_mode=dr.WrapMode.Clamp,
             )
             lobes = lobes_of(form)
-            self.b, self.widening = lobes.b, math.log1p(1 / lobes.b)
+            # opaque: shells that differ in numbers alone share a compiled kernel
+            numbers = (lobes.b, math.log1p(1 / lobes.b))
+            self.b, self.widening = (dr.opaque(mi.Float, x) for x in numbers)
             self.lobes = mi.Hierarchical2D1(lobes.density, [lobes.cosines.tolist()])
             self.to_spectrum = spectrum_of(mi)
 
@@ -121,10 +124,10 @@ def _plugin_class(mi: Any) -> Any:
             return value, dr.select(active, self._pdf(wi, turned), 0)
 
         def traverse(self, callback: Any) -> None:
-            callback.put("table", self.texture.tensor(), mi.ParamFlags.Differentiable)
+            callback.put("table", self.table, mi.ParamFlags.Differentiable)
 
         def parameters_changed(self, keys: Any = ()) -> None:
-            self.texture.set_tensor(self.texture.tensor())
+            self.texture.set_tensor(self.table)
 
         def to_string(self) -> str:
             return f"RadenBsdf[filename={self.name}, table={list(self.shape)}]"
