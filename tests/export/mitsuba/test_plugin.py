@@ -65,6 +65,18 @@ def test_samples_of_a_measured_paint_follow_their_density(
     assert min(found.values()) > SIGNIFICANCE, found
 
 
+def test_it_passes_the_test_over_cells_of_equal_solid_angle(llvm: Any, exported: Path) -> None:
+    """Mitsuba's own domain and adapter, as its documents show them."""
+    from mitsuba.chi2 import BSDFAdapter, ChiSquareTest, SphericalDomain
+
+    about = {"type": "raden", "filename": str(exported.with_suffix(".json"))}
+    sample, density = BSDFAdapter("raden", about, wi=unit(0.7, 0.2, 0.5))
+    test = ChiSquareTest(
+        SphericalDomain(), sample, density, sample_dim=3, sample_count=200_000, res=51, ires=16
+    )
+    assert test.run(quiet=True), test.messages
+
+
 def test_the_chi_square_test_finds_a_density_that_is_off(llvm: Any, exported: Path) -> None:
     bsdf = load(exported, "llvm_ad_rgb")
     own, cosine = bsdf.pdf, llvm.warp.square_to_cosine_hemisphere_pdf
