@@ -113,7 +113,9 @@ def main() -> None:
     (options.out / "in_mitsuba.json").write_text(json.dumps(rows, indent=1))
     if options.picture:
         image = torch.from_numpy(np.concatenate(columns, 1)).float().movedim(-1, 0)[None]
-        picture = to_display(image, auto_exposure_ev(image))[0]
+        # each model by its own exposure; a strip below for the caption
+        each = [to_display(one, auto_exposure_ev(one))[0] for one in image.split(options.size, 3)]
+        picture = torch.nn.functional.pad(torch.cat(each, 2), (0, 0, 0, 24))
         names = ", ".join(
             f"{name} (simulated)" if model.provenance.simulated else name
             for name, model in models.items()
