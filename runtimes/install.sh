@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The runtimes that pip cannot put beside us: Node.js packages, Chromium, and an old ONNX Runtime in
-# a Python environment of its own. What cannot be had here is said and left out; its tests skip.
+# The runtimes that pip cannot put beside us: Node.js packages, Chromium, LLVM for Mitsuba, and an old
+# ONNX Runtime in a Python environment of its own. What cannot be had here is said and left out; its tests skip.
 set -uo pipefail
 cd "$(dirname "$0")"
 
@@ -18,6 +18,17 @@ if ! command -v chromium >/dev/null && ! command -v google-chrome >/dev/null; th
 			echo "runtimes: apt-get could not install chromium; the browser is left out"
 	else
 		echo "runtimes: no Chromium, and it takes root and apt-get to install it; left out"
+	fi
+fi
+
+# Mitsuba's LLVM variants take the newest; 15 and 16 end the process on machines with AVX-512
+if ! ldconfig -p 2>/dev/null | grep -q 'libLLVM.*19'; then
+	if [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+		apt-get update -qq >/dev/null 2>&1
+		apt-get install -y -qq --no-install-recommends libllvm19 >/dev/null 2>&1 ||
+			echo "runtimes: apt-get could not install libllvm19; Mitsuba's LLVM variants are left out"
+	else
+		echo "runtimes: no LLVM 19, and it takes root and apt-get to install it; left out"
 	fi
 fi
 
