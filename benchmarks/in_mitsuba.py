@@ -116,11 +116,15 @@ def main() -> None:
         # each model by its own exposure; a strip below for the caption
         each = [to_display(one, auto_exposure_ev(one))[0] for one in image.split(options.size, 3)]
         picture = torch.nn.functional.pad(torch.cat(each, 2), (0, 0, 0, 24))
-        names = ", ".join(
-            f"{name} (simulated)" if model.provenance.simulated else name
-            for name, model in models.items()
+        simulated = [name for name, model in models.items() if model.provenance.simulated]
+        others = [name for name in models if name not in simulated]
+        caption = "; ".join(
+            [
+                *([f"simulated: {', '.join(simulated)}"] if simulated else []),
+                *([f"measured: {', '.join(others)}"] if others else []),
+                "rows: raden render, Mitsuba's plugin, its measured material",
+            ]
         )
-        caption = f"{names}; from above: raden render, Mitsuba's plugin, Mitsuba's measured"
         write_picture(picture, options.picture, caption)
 
 
