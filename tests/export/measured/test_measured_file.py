@@ -21,6 +21,8 @@ from raden_torch.export.measured.check import read_measured, verify_measured
 from raden_torch.export.measured.measured_file import export_measured
 from raden_torch.export.measured.tensor_file import read_fields, write_fields
 from raden_torch.export.mitsuba.lit_sphere import mean_relative_difference, render_sphere
+from raden_torch.geometry import vectors_from_angles
+from raden_torch.measurement.readings import FACTOR_PER_SR
 from raden_torch.pictures import render_shape
 from tests.export.mitsuba.shells import simulated_shell
 
@@ -202,3 +204,21 @@ def test_a_damaged_file_is_refused_in_a_line(
     write_fields(tmp_path / "a.bsdf", fields if new is None else fields | {name: new})
     with pytest.raises(InputError, match=rf"a\.bsdf: {message}"):
         verify_measured(tmp_path / "a.bsdf")
+
+
+def test_the_other_reader_has_the_models_values_at_the_nodes(
+    shell: RuntimeBrdf, file: Path
+) -> None:
+    """Rationale: `load_measurement` reads such files by code of its own. Expected: f_r of every
+    node, with its lamp where path tracers have the viewer; not of the two as they stand."""
+    measured = rt.load_measurement(file)
+    values = measured.as_rgb().values / FACTOR_PER_SR
+    angles = (torch.from_numpy(a).deg2rad() for a in measured.angles_deg.T)
+    n, l, v = vectors_from_angles(*(a.view(1, 1, 1, -1) for a in angles))  # noqa: E741
+    exchanged, plain = (shell.of_unit_vectors(n, *pair)[0, :, 0].T for pair in ((v, l), (l, v)))
+    near = (l * v).sum(-3).flatten() > 0.999  # where a shell's own value depends on the plane
+    seen = ((n * v).sum(-3).flatten() > 0.02) & ~near
+    assert len(values) > 50_000
+    off = (torch.from_numpy(values) - exchanged)[seen].abs()
+    assert float((off / shell.values.max()).quantile(0.999)) < 1e-3
+    assert share(values[seen.numpy()], plain[seen].numpy()) > 0.02
