@@ -1,8 +1,7 @@
 """The tensor file of Mitsuba's and pbrt's `measured` BSDF, `.bsdf` (RGL, EPFL).
 
-`tensor_file`, a NUL, version 1.0, the number of fields; for each its name, type, place and shape,
-little-endian. Fields: `phi_i` and `theta_i` (radians), `ndf`, `sigma`, `vndf`, `rgb` or `spectra`
-with `wavelengths`, `jacobian`, `description`.
+The container is that of `tensor_fields`. Fields: `phi_i` and `theta_i` (radians), `ndf`, `sigma`,
+`vndf`, `rgb` or `spectra` with `wavelengths`, `jacobian`, `description`.
 
 Each node of `rgb` (or `spectra`) `[φ_i, θ_i, channel, y, x]` is a reading. Its place in the unit
 square, mapped by sampling `vndf` of its incidence (first y by the marginal, then x), is the half
@@ -20,9 +19,7 @@ rendering"; Mitsuba's src/bsdfs/measured.cpp and distr_2d.h.
 
 from __future__ import annotations
 
-import math
 import os
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -32,15 +29,13 @@ from numpy.typing import NDArray
 from raden_torch.arrays import Floats
 from raden_torch.capture.exchange.directions import measurement_of
 from raden_torch.capture.exchange.scatter_grid import light_and_view
+from raden_torch.capture.exchange.tensor_fields import MAGIC, fields_in
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import FACTOR_PER_SR, RGB
 from raden_torch.measurement.text_file import read_content
 
 MAX_BYTES = 500_000_000
-_MAGIC = b"tensor_file\0"
-_TYPES = (None, "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8")
-_MAX_FIELDS, _MAX_DIMENSIONS = 100, 8
 _NEEDED = ("phi_i", "theta_i", "ndf", "sigma", "vndf")
 _DIGITS = 4  # of single precision's degrees
 _LEAST_COSINE = 1e-3  # of the outgoing direction: what is divided by it says nothing nearer
@@ -48,7 +43,7 @@ _LEAST_COSINE = 1e-3  # of the outgoing direction: what is divided by it says no
 
 def recognises(head: bytes) -> bool:
     """True where the file's magic stands first."""
-    return head.startswith(_MAGIC)
+    return head.startswith(MAGIC)
 
 
 def read(path: str | os.PathLike[str]) -> BrdfMeasurement:
@@ -207,40 +202,7 @@ def _check(path: Path, name: str, array: Floats, shape: tuple[int, ...]) -> None
 
 
 def _fields(path: Path, data: bytes) -> dict[str, NDArray[Any]]:
-    at = len(_MAGIC)
-
-    def take(layout: str) -> tuple[Any, ...]:
-        nonlocal at
-        size = struct.calcsize(layout)
-        if at + size > len(data):
-            raise InputError(
-                f"{path}: expected a whole tensor file, got one truncated in its header"
-            )
-        at += size
-        return struct.unpack_from(layout, data, at - size)
-
-    major, minor, count = take("<BBI")
-    if (major, minor) != (1, 0) or count > _MAX_FIELDS:
-        raise InputError(
-            f"{path}: expected a tensor file of version 1.0 with at most {_MAX_FIELDS} fields, got "
-            f"version {major}.{minor} with {count}"
-        )
-    fields: dict[str, NDArray[Any]] = {}
-    for _ in range(count):
-        (length,) = take("<H")
-        name = take(f"<{length}s")[0].decode("utf-8", "replace")
-        dimensions, kind, offset = take("<HBQ")
-        if dimensions > _MAX_DIMENSIONS or not 0 < kind < len(_TYPES):
-            raise InputError(
-                f"{path}: field {name[:40]!r}: expected a known type and shape, got none"
-            )
-        shape = take(f"<{dimensions}Q")
-        dtype = np.dtype(f"<{_TYPES[kind]}")
-        size = math.prod(shape)
-        if offset + size * dtype.itemsize > len(data):
-            raise InputError(
-                f"{path}: field {name[:40]!r}: expected {' x '.join(map(str, shape))} numbers, got "
-                f"a file of {len(data)} bytes: it is truncated"
-            )
-        fields[name] = np.frombuffer(data, dtype, size, offset).reshape(shape)
-    return fields
+    try:
+        return fields_in(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
+from raden_torch.capture.exchange.tensor_fields import read_fields
 from raden_torch.errors import InputError
 from raden_torch.export.measured.fields import Measured
-from raden_torch.export.measured.tensor_file import read_fields
 from raden_torch.export.measured.warp import Warp
 from raden_torch.packages import require
 

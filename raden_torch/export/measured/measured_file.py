@@ -19,10 +19,10 @@ from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.runtime import models_of
 from raden_torch.brdf.materials.surface import Reflection, Surface
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
+from raden_torch.capture.exchange.tensor_fields import write_fields
 from raden_torch.errors import InputError
 from raden_torch.export.forms import RuntimeForm, form_of
 from raden_torch.export.measured.fields import Measured, Reflectance, fields_of
-from raden_torch.export.measured.tensor_file import write_fields
 from raden_torch.files import check_output
 from raden_torch.optics.spectral_colour import VISIBLE_NM
 from raden_torch.optics.spectral_primaries import STEP_NM, primary_spectra

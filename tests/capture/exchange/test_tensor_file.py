@@ -118,7 +118,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     for data, message in (
         (good[:40], "truncated in its head"),
         (good[:-9], "field 'rgb': expected 1 x 4 x 3 x 6 x 6 numbers, got a file of .* truncated"),
-        (good[:12] + b"\2" + good[13:], "version 1.0 .*, got version 2.0"),
+        (good[:12] + b"\2" + good[13:], "version 1.0, got version 2.0"),
     ):
         (tmp_path / "b.bsdf").write_bytes(data)
         with pytest.raises(InputError, match=message) as caught:

@@ -15,11 +15,11 @@ from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import CosineDiffuse
+from raden_torch.capture.exchange.tensor_fields import read_fields, write_fields
 from raden_torch.errors import InputError
 from raden_torch.export.measured import measured_file
 from raden_torch.export.measured.check import read_measured, verify_measured
 from raden_torch.export.measured.measured_file import export_measured
-from raden_torch.export.measured.tensor_file import read_fields, write_fields
 from raden_torch.export.mitsuba.lit_sphere import mean_relative_difference, render_sphere
 from raden_torch.geometry import vectors_from_angles
 from raden_torch.measurement.readings import FACTOR_PER_SR

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from raden_torch.capture.exchange import tensor_fields
+from raden_torch.capture.exchange.tensor_fields import TYPES, read_fields, write_fields
 from raden_torch.errors import InputError
-from raden_torch.export.measured import tensor_file
-from raden_torch.export.measured.tensor_file import TYPES, read_fields, write_fields
 
 
 @pytest.fixture
@@ -63,14 +63,14 @@ def changed(data: bytes, at: int, new: bytes) -> bytes:
     ("at", "new", "message"),
     [
         (0, b"Tensor_file", "begins with 'tensor_file'"),
-        (12, b"\x02", r"version: expected 1\.0, got 2\.0"),
+        (12, b"\x02", r"version 1\.0, got version 2\.0"),
         (14, struct.pack(">I", 2), "expected little-endian"),
         (14, struct.pack("<I", 10**9), "fields: expected at most 64, got 1000000000"),
         (26, b"\x0c", "field 'text': expected a type and a shape"),
         (26, b"\x00", "field 'text': expected a type and a shape"),
-        (35, struct.pack("<Q", 4096**3), r"for shape \[68719476736\], got a file of"),
-        (35, struct.pack("<Q", 2**63), r"for shape \[9223372036854775808\], got a file of"),
-        (27, struct.pack("<Q", 2**62), "for shape"),
+        (35, struct.pack("<Q", 4096**3), r"expected 68719476736 numbers, got a file of"),
+        (35, struct.pack("<Q", 2**63), r"expected 9223372036854775808 numbers, got a file of"),
+        (27, struct.pack("<Q", 2**62), "it is truncated"),
     ],
 )
 def test_damage_is_refused_in_a_line(file: Path, at: int, new: bytes, message: str) -> None:
@@ -82,7 +82,7 @@ def test_damage_is_refused_in_a_line(file: Path, at: int, new: bytes, message: s
 def test_too_much_is_refused_before_it_is_read_or_written(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tensor_file, "MOST_BYTES", 100)
+    monkeypatch.setattr(tensor_fields, "MOST_BYTES", 100)
     with pytest.raises(InputError, match="expected at most 100 bytes"):
         read_fields(file)
     with pytest.raises(InputError, match="expected at most 100 bytes"):

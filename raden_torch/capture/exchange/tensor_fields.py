@@ -67,20 +67,30 @@ def read_fields(path: Path) -> dict[str, NDArray[Any]]:
         raise InputError(
             f"{path}: expected a tensor file, got an error: {error.strerror}"
         ) from None
+    try:
+        return fields_in(data)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def fields_in(data: bytes) -> dict[str, NDArray[Any]]:
+    """The arrays in the bytes of a tensor file, by their names.
+
+    Raises:
+        InputError: as of `read_fields`, without the file's name.
+    """
     if data[: len(MAGIC)] != MAGIC:
-        raise InputError(f"{path}: expected a tensor file, which begins with 'tensor_file'")
+        raise InputError("expected a tensor file, which begins with 'tensor_file'")
     try:
         return dict(_fields(data))
     except struct.error:
-        raise InputError(f"{path}: expected a whole file, got one cut in its table") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        raise InputError("expected a whole tensor file, got one truncated in its header") from None
 
 
 def _fields(data: bytes) -> list[tuple[str, NDArray[Any]]]:
     major, minor, count = struct.unpack_from("<BBI", data, len(MAGIC))
     if (major, minor) != (1, 0):
-        raise InputError(f"version: expected 1.0, got {major}.{minor}")
+        raise InputError(f"expected a tensor file of version 1.0, got version {major}.{minor}")
     if count > _MOST_FIELDS:
         turned = int.from_bytes(count.to_bytes(4, "little"), "big")
         if turned <= _MOST_FIELDS:
@@ -95,7 +105,7 @@ def _fields(data: bytes) -> list[tuple[str, NDArray[Any]]]:
         at += 2 + length
         sides, kind, start = struct.unpack_from("<HBQ", data, at)
         if sides > _MOST_SIDES or not 0 < kind < len(TYPES):
-            raise InputError(f"field {name!r}: expected a type and a shape, got damage")
+            raise InputError(f"field {name[:40]!r}: expected a type and a shape, got damage")
         shape = struct.unpack_from(f"<{sides}Q", data, at + 11)
         at += 11 + 8 * sides
         found.append((name, _array(data, name, TYPES[kind], start, shape)))
@@ -109,7 +119,7 @@ def _array(data: bytes, name: str, kind: str, start: int, shape: tuple[int, ...]
     needed = start + count * np.dtype(kind).itemsize
     if needed > len(data):
         raise InputError(
-            f"field {name!r}: expected {needed} bytes for shape {list(shape)}, got a file of "
-            f"{len(data)}"
+            f"field {name[:40]!r}: expected {' x '.join(map(str, shape))} numbers, got a file of "
+            f"{len(data)} bytes: it is truncated"
         )
     return np.frombuffer(data, kind, count, start).reshape(shape)
