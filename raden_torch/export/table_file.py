@@ -12,6 +12,8 @@ import numpy as np
 import torch
 
 from raden_torch.brdf.files.model_file import load_model
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
+from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import Provenance
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError
@@ -115,9 +117,25 @@ def read_form(path: Path) -> RuntimeForm:
             f"{path}: expected a table (the .json of `raden export`) or a model (.safetensors), "
             f"got {path.suffix or 'no suffix'}"
         )
-    form = form_of(load_model(path), "runtime")
+    try:
+        return single_table(load_model(path))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def single_table(model: Reflection) -> RuntimeForm:
+    """The runtime form of a model or another material of the three angles.
+
+    Raises:
+        InputError: a palette, or a sample of several azimuths: no single table holds these.
+    """
+    if isinstance(model, AnisotropicBrdf):
+        raise InputError(
+            f"model: expected an isotropic sample, got one of {len(model.azimuth_deg)} azimuths"
+        )
+    form = form_of(model, "runtime")
     if not isinstance(form, RuntimeForm):
-        raise InputError(f"{path}: expected one material, got a palette")
+        raise InputError("model: expected one material, got a palette; export its members")
     return form
 
 

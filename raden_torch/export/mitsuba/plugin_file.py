@@ -12,9 +12,8 @@ from raden_torch.brdf.materials.runtime import models_of
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import Provenance
 from raden_torch.errors import InputError
-from raden_torch.export.forms import RuntimeForm, form_of
 from raden_torch.export.mitsuba.plugin import NAME
-from raden_torch.export.table_file import write_table
+from raden_torch.export.table_file import single_table, write_table
 from raden_torch.files import check_outputs, written_beside
 
 _TEXT = """\
@@ -59,8 +58,8 @@ def export_plugin(model: Reflection, path: str | os.PathLike[str]) -> PluginRepo
         path: ends in .xml.
 
     Raises:
-        InputError: another suffix, a palette, a table too large for a texture or not finite in half
-            precision, or a file cannot be written.
+        InputError: another suffix, a palette or a sample of several azimuths, a table
+            too large for a texture or not finite in half precision, or a file cannot be written.
 
     Examples:
         >>> import raden_torch as rt
@@ -73,9 +72,7 @@ def export_plugin(model: Reflection, path: str | os.PathLike[str]) -> PluginRepo
     check_outputs(text, table, about)
     if text.suffix != ".xml":
         raise InputError(f"{text}: suffix: expected .xml, got {text.suffix or 'none'!r}")
-    form = form_of(model, "runtime")
-    if not isinstance(form, RuntimeForm):
-        raise InputError("model: expected one material, got a palette; export its members")
+    form = single_table(model)
     models = models_of(model)
     source = models[0].provenance if models else Provenance()
     size, change = write_table(form, source, table, about)

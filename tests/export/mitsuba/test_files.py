@@ -9,10 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 import raden_torch as rt
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
+from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.errors import InputError
 from raden_torch.export.mitsuba import check
 from raden_torch.export.mitsuba.check import load, verify_plugin
@@ -121,6 +124,9 @@ def test_other_files_are_refused(shell: RuntimeBrdf, scalar: Any, tmp_path: Path
         export_plugin(shell, tmp_path / "shell.json5")
     with pytest.raises(InputError, match="expected one material, got a palette"):
         export_plugin(Palette([shell, shell], ("a", "b")), tmp_path / "shell.xml")
+    matt = rt.RadenBrdf(CosineDiffuse(torch.ones(3), torch.ones(3)), None)
+    with pytest.raises(InputError, match="expected an isotropic sample, got one of 2 azimuths"):
+        export_plugin(AnisotropicBrdf([matt, matt], (0, 90)), tmp_path / "shell.xml")
     assert not list(tmp_path.iterdir())
     with pytest.raises(InputError, match=r"absent\.json: expected a file of `raden export`"):
         verify_plugin(tmp_path / "absent.xml")
