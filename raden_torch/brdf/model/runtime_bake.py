@@ -196,7 +196,7 @@ def _bake(
         nodes_of = _node_map(source)
         weight, is_whole = nodes_of.weight.reshape(*layout.shape, 1), nodes_of.is_whole
         cancels = is_whole and not isinstance(specular_gain, Tensor)
-        cancels = cancels and diffuse_gain == specular_gain
+        cancels = cancels and bool(diffuse_gain == specular_gain)
         if cancels and scale is not None and exponent is not None:
             rows = rows + 0 * (scale.sum() + exponent.sum()).to(rows)  # so their gradient is 0
             scale = exponent = None
