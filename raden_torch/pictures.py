@@ -18,7 +18,7 @@ from raden_torch.brdf.files.caption import caption_of
 from raden_torch.brdf.files.display import AS_IT_IS, Display
 from raden_torch.brdf.files.gbuffer_file import GBufferFile, read_gbuffer
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
-from raden_torch.brdf.files.model_file import load_model
+from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.files.shade_file import Shadowed, shade_file
 from raden_torch.brdf.materials.anisotropic import no_tangent, takes_tangent
 from raden_torch.brdf.materials.palette import Palette
@@ -201,7 +201,16 @@ def save_picture(
     return display.write(image, path, caption_of(model))
 
 
-def load_material(model: Path) -> Reflection:
-    """The material of a file, or "pearl": a simulated one, where there is no file of that name."""
-    found: Reflection = pearl() if str(model) == PEARL and not model.exists() else load_model(model)
-    return found
+def load_material(
+    model: Path, illuminant: str | None = None, white: str | None = None
+) -> Reflection:
+    """The material of a file, or "pearl": a simulated one, where there is no file of that name.
+
+    Args:
+        illuminant, white: of a spectral model; see `load_lit`.
+    """
+    if str(model) != PEARL or model.exists():
+        return load_lit(model, illuminant, white)
+    if illuminant is not None or white is not None:
+        raise InputError("`illuminant`: expected with a spectral model, got the pearl, in RGB")
+    return pearl()

@@ -27,8 +27,8 @@ from raden_torch.brdf.files.image_file import (
     read_photograph,
     write_photograph,
 )
+from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.files.material_map import nothing_to_choose, read_material
-from raden_torch.brdf.files.model_file import load_model
 from raden_torch.brdf.files.normal_axes import Green
 from raden_torch.brdf.materials.anisotropic import no_tangent, takes_tangent
 from raden_torch.brdf.materials.palette import Palette
@@ -88,7 +88,7 @@ def relight_files(
     targets = _targets(photos, output)
     known = original if isinstance(original, Path) else None
     check_outputs(*targets, inputs=(*photos, normals, mask, model, known, reading.material))
-    loaded = load_model(model)
+    loaded = load_lit(model)
     tangent = None
     if reading.tangent is not None:
         if not takes_tangent(loaded):

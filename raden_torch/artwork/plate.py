@@ -13,7 +13,6 @@ from raden_torch.artwork.motif import inlay
 from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.brdf.shading.shade import shade
@@ -95,7 +94,8 @@ def shade_plate(model: Reflection, plate: InlaidPlate, lights: Sequence[Light]) 
 def is_simulated_shell(material: Reflection) -> bool:
     """A shell as film optics make it, without a coat."""
     models = material if isinstance(material, AnisotropicBrdf) else [material]
-    return all(isinstance(m, RadenBrdf) and m.provenance.simulated for m in models)
+    sources = [getattr(m, "provenance", None) for m in models]
+    return all(source is not None and source.simulated for source in sources)
 
 
 def _dome(x: Tensor, y: Tensor) -> Tensor:

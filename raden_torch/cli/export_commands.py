@@ -93,12 +93,12 @@ class _Export:
 
 
 def _onnx(what: _Export) -> str:
-    from raden_torch.brdf.files.model_file import load_model
+    from raden_torch.brdf.files.model_file import load_rgb
     from raden_torch.export.export import export_onnx
 
     how = what.how
     report = export_onnx(
-        load_model(what.model),
+        load_rgb(what.model, ".onnx file"),
         what.output,
         profile=how.profile,
         output=how.quantity,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from cyclopts import Parameter
 
@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from raden_torch.brdf.fitting.by_azimuth import AzimuthFit
     from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
     from raden_torch.brdf.fitting.fit import FitResult
+    from raden_torch.brdf.fitting.spectral_fit import SpectralFit
+    from raden_torch.brdf.model.model import RadenBrdf
     from raden_torch.measurement import BrdfMeasurement
 
 
@@ -41,6 +43,9 @@ class FitOptions:
     assume: Literal["isotropic"] | None = None
     """assumed symmetry of the sample: one plane, one view or one side is then enough"""
     by_azimuth: Annotated[bool, switch("a model that turns: one for each sample azimuth")] = False
+    spectral: Annotated[
+        bool, switch("keep the bands of the measurement, for other illuminants than its own")
+    ] = False
     outside: Literal["continued", "diffuse"] = "continued"
     """beyond the measured angles: continue what was measured, or the diffuse formula alone (the
     paper)"""
@@ -49,6 +54,15 @@ class FitOptions:
         if (self.diffuse_scale is None) != (self.diffuse_exponent is None):
             raise InputError(
                 "--diffuse-scale and --diffuse-exponent go together; give both or neither"
+            )
+        rgb_only = (
+            *(self.diffuse != "floor", self.diffuse_scale is not None),
+            *(self.outside != "continued", self.by_azimuth),
+        )
+        if self.spectral and any(rgb_only):
+            raise InputError(
+                "--spectral: expected without --diffuse, --diffuse-scale, --outside and "
+                "--by-azimuth, which are of a model in RGB"
             )
         if self.diffuse == "surface" and self.diffuse_scale is not None:
             raise InputError(
@@ -96,7 +110,8 @@ def fit(
         save_model(results[0].model, output)
         print(f"{loaded[0]!r}\n{results[0].report}\nwrote {output}")
         return
-    save_model(Palette([result.model for result in results], members), output)
+    models = cast("list[RadenBrdf]", [result.model for result in results])
+    save_model(Palette(models, members), output)
     for name, measurement, result in zip(members, loaded, results, strict=True):
         print(f"{name}: {measurement!r}\n{result.report}\n")
     print(f"a palette of {len(members)}: {', '.join(members)}\nwrote {output}")
@@ -110,6 +125,8 @@ def _member_names(
         if names:
             raise InputError("--names: expected with several measurements, got one")
         return ()
+    if how.spectral:
+        raise InputError("--spectral: expected with one measurement, of which it keeps the bands")
     if how.validation is not None:
         raise InputError("--validation: expected with one measurement, whose readings it has")
     found = names or tuple(path.name.partition(".")[0] for path in measurements)
@@ -130,10 +147,16 @@ def _fitted(
     how: FitOptions,
     *,
     is_one: bool,
-) -> FitResult | AzimuthFit:
+) -> FitResult | AzimuthFit | SpectralFit:
     from raden_torch.brdf.fitting.by_azimuth import fit_by_azimuth
     from raden_torch.brdf.fitting.fit import fit as fit_model
 
+    if how.spectral:
+        from raden_torch.brdf.fitting.spectral_fit import fit_spectral
+
+        return fit_spectral(
+            measurement, interpolation=how.interpolation, validation=off_grid, assume=how.assume
+        )
     try:
         return (fit_by_azimuth if how.by_azimuth else fit_model)(
             measurement,

@@ -26,6 +26,7 @@ from raden_torch.cli.picture_options import (
     GBufferOptions,
     RelitDisplayOptions,
     SceneOptions,
+    SpectrumOptions,
 )
 from raden_torch.cli.status import progress, without_other_inputs, working
 from raden_torch.errors import InputError
@@ -84,6 +85,7 @@ def render(
         Parameter(help="x,y,z towards a lamp at infinity, or point:x,y,z; may be repeated"),
     ] = (),
     around: EnvironmentOptions = EnvironmentOptions(),
+    spectrum: SpectrumOptions = SpectrumOptions(),
     display: DisplayOptions = DisplayOptions(),
     shape: ShapeOptions = ShapeOptions(),
     gbuffer: Annotated[
@@ -93,7 +95,7 @@ def render(
     scene: SceneOptions = SceneOptions(),
 ) -> None:
     if model.suffix.lower() == ".toml":
-        own = (light, around, gbuffer, exr, shape.shape, shape.camera)
+        own = (light, around, spectrum, gbuffer, exr, shape.shape, shape.camera)
         _render_scene(model, output, display, shape, scene, is_plain=own == _NO_SCENE_OF_ITS_OWN)
         return
     if scene != SceneOptions():
@@ -102,21 +104,23 @@ def render(
 
     shown_by = display.display
     shown_by.check_path(output)
-    check_output(output, inputs=(model, gbuffer, around.environment, exr.material, exr.camera_file))
+    read = (model, gbuffer, around.environment, exr.material, exr.camera_file, *spectrum.files)
+    check_output(output, inputs=read)
     lights = [*_lights(light), *around.lights()]
     if gbuffer is None:
         exr.check_without_gbuffer()
+    loaded = load_material(model, spectrum.illuminant, spectrum.white)
+    if gbuffer is None:
         with working("rendering"):
-            loaded = load_material(model)
             image = shape.image(loaded, lights, exr.tangent)
             used = save_picture(image, output, loaded, display=shown_by)
     else:
-        used = _render_gbuffer(model, gbuffer, output, lights, exr, shape.camera, shown_by)
+        used = _render_gbuffer(loaded, gbuffer, output, lights, exr, shape.camera, shown_by)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
 
 
 def _render_gbuffer(
-    model: Path,
+    model: Reflection,
     gbuffer: Path,
     output: Path,
     lights: Sequence[Light],
@@ -125,19 +129,14 @@ def _render_gbuffer(
     shown_by: Display,
 ) -> float:
     """The stops that it was exposed by."""
-    from raden_torch.pictures import (
-        load_material,
-        render_gbuffer,
-        render_gbuffer_file,
-        save_picture,
-    )
+    from raden_torch.pictures import render_gbuffer, render_gbuffer_file, save_picture
 
     reading = exr.reading if camera is None else replace(exr.reading, camera=camera)
     lights = [reading.light(light) for light in lights]
     if output.suffix.lower() == ".exr":
         with progress("rendering") as shown:
             return render_gbuffer_file(
-                load_material(model),
+                model,
                 gbuffer,
                 output,
                 lights,
@@ -149,14 +148,16 @@ def _render_gbuffer(
                 shown=shown,
             )
     with working("rendering"):
-        loaded = load_material(model)
         image = render_gbuffer(
-            loaded, gbuffer, lights, reading, tolerance=exr.tolerance, shadowed=exr.shadowed
+            model, gbuffer, lights, reading, tolerance=exr.tolerance, shadowed=exr.shadowed
         )
-        return save_picture(image, output, loaded, display=shown_by)
+        return save_picture(image, output, model, display=shown_by)
 
 
-_NO_SCENE_OF_ITS_OWN = ((), EnvironmentOptions(), None, GBufferOptions(), "sphere", None)
+_NO_SCENE_OF_ITS_OWN = (
+    *((), EnvironmentOptions(), SpectrumOptions(), None),
+    *(GBufferOptions(), "sphere", None),
+)
 """`render`'s options that a scene file says itself, as they are where none is given."""
 
 

@@ -165,6 +165,25 @@ class GBufferOptions(ExrOptions):
         return {**own, **known, **given}
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SpectrumOptions:
+    """Of a spectral model: the light's spectrum, and the eye that sees it."""
+
+    illuminant: str | None = None
+    """the spectrum of all lights, of a model of `raden fit --spectral`: A, D65, FL11, LED-B3, …; or
+    a .csv with the columns wavelength_nm and power; D65 unless stated"""
+    white: str | None = None
+    """the illuminant that the eye is adapted to; that of the lights unless stated; D65 adapts
+    nothing"""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """What is read of them."""
+        given = (Path(name) for name in (self.illuminant, self.white) if name is not None)
+        return tuple(path for path in given if path.suffix)
+
+
 @Parameter(name="*", group=_SCENES)
 @dataclass(frozen=True)
 class SceneOptions:

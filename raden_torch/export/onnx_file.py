@@ -207,7 +207,7 @@ def _beyond(model: RadenBrdf) -> str:
 
 
 def _valid_range(model: RadenBrdf) -> str:
-    if model.table is None:
+    if not model.measured_box_deg:
         return "all angles (diffuse formula, no table)"
     axes = zip(("incidence", "receiving", "tilt"), model.measured_box_deg, strict=True)
     box = ", ".join(f"{name} {first:g} to {last:g} deg" for name, (first, last) in axes)

@@ -9,9 +9,10 @@ from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.metal import Foil, Powder
 from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.spectral import SpectralBrdf
 from raden_torch.brdf.materials.urushi import Lambertian
 from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.info.reflectance_info import describe_model
+from raden_torch.info.reflectance_info import describe_model, describe_spectral
 
 
 def describe_material(material: Any) -> str:
@@ -36,6 +37,8 @@ def _lines(material: Any) -> list[str]:
             f"{material.period_deg:g} deg; `--tangent` chooses, else their mean",
             *(line for x, model in each for line in _below(f"{x:g} deg", model)),
         ]
+    if isinstance(material, SpectralBrdf):
+        return describe_spectral(material).splitlines()
     if isinstance(material, Coated):
         absorption = ", ".join(f"{x:g}" for x in material.absorption)  # type: ignore[union-attr]
         return [

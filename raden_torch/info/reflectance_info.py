@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,6 +11,7 @@ import numpy as np
 from raden_torch.measurement import BrdfMeasurement
 
 if TYPE_CHECKING:
+    from raden_torch.brdf.materials.spectral import SpectralBrdf
     from raden_torch.brdf.model.model import RadenBrdf
 
 _MOST_ENTRIES = 40
@@ -75,8 +77,7 @@ def describe_model(model: RadenBrdf) -> str:
     if model.table is not None:
         shape = " x ".join(map(str, model.table.values.shape))
         lines.append(f"table: {shape}; {model.table.extra_repr()} deg")
-        axes = zip(("incidence", "receiving", "tilt"), model.measured_box_deg, strict=True)
-        box = ", ".join(f"{name} {low:g}…{high:g}" for name, (low, high) in axes)
+        box = _box(model.measured_box_deg)
         continued = about.fit.get("outside") == "continued"
         beyond = "what was measured is continued" if continued else "the diffuse part stands alone"
         how = "measured or derived (isotropic)" if about.fit.get("assumption") else "measured"
@@ -91,6 +92,29 @@ def describe_model(model: RadenBrdf) -> str:
             f"{triple(model.diffuse.exponent)}" + (f"; {fitted_to}" if fitted_to else "")
         )
     lines.append(f"gains: I_d = {model.diffuse_gain:g}, I_s = {model.specular_gain:g}")
+    lines.append(f"measurement sha256: {about.measurement_sha256 or 'not known'}")
+    lines += [f"warning: {text}" for text in about.fit.get("warnings", ())]
+    return "\n".join(lines)
+
+
+def _box(box_deg: Iterable[Sequence[float]]) -> str:
+    axes = zip(("incidence", "receiving", "tilt"), box_deg, strict=False)
+    return ", ".join(f"{name} {low:g}…{high:g}" for name, (low, high) in axes)
+
+
+def describe_spectral(model: SpectralBrdf) -> str:
+    """Sample, bands, table and fit, one fact a line."""
+    about, nm = model.provenance, model.wavelengths_nm
+    kind = "simulated specimen" if about.simulated else "measured specimen"
+    step = np.diff(nm)
+    by = f" by {step[0]:g}" if np.allclose(step, step[0]) else ""
+    lines = [
+        f"spectral model of {about.sample or 'an unnamed sample'} ({kind})",
+        f"{len(nm)} bands: {nm[0]:g}…{nm[-1]:g} nm{by}; `raden render --illuminant A` lights it",
+        f"runtime table: {' x '.join(map(str, model.values.shape))}",
+    ]
+    if box := _box(about.fit.get("box_deg", ())):
+        lines.append(f"measured: {box} deg; beyond, what was measured is continued")
     lines.append(f"measurement sha256: {about.measurement_sha256 or 'not known'}")
     lines += [f"warning: {text}" for text in about.fit.get("warnings", ())]
     return "\n".join(lines)

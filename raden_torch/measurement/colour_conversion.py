@@ -21,19 +21,15 @@ from raden_torch.colorimetry import (
     xyz_of_white,
 )
 from raden_torch.errors import InputError
+from raden_torch.measurement.illuminants import OBSERVERS, Illuminant
 from raden_torch.measurement.readings import (
     FACTOR_PER_SR,
     RGB,
-    WHITE_LEVEL,
     XYZ,
     BrdfMeasurement,
 )
 from raden_torch.packages import require
 
-_OBSERVERS = {  # as colour-science calls them
-    "CIE 1931 2 deg": "CIE 1931 2 Degree Standard Observer",
-    "CIE 1964 10 deg": "CIE 1964 10 Degree Standard Observer",
-}
 _WHITES = {"CIE 1931 2 deg": WHITES_2_DEG, "CIE 1964 10 deg": WHITES_10_DEG}
 _VISIBLE_NM = (400.0, 700.0)  # bands must reach this far (within 20 nm) to make a colour
 _MAX_BAND_STEP_NM = 40.0
@@ -130,8 +126,7 @@ def _transformed(
 def bands_to_xyz_matrix(measurement: BrdfMeasurement) -> Floats:
     """`[3, C]`: XYZ on the 0…100 scale of a reflectance factor on the 0…100 scale.
 
-    Bands are joined linearly and held constant beyond the first and last, then integrated with
-    the colour-matching functions at 1 nm.
+    See `illuminants` for how bands are joined and integrated.
     """
     bands = measurement.wavelengths_nm
     reason = why_no_colour(measurement)
@@ -146,20 +141,14 @@ def bands_to_xyz_matrix(measurement: BrdfMeasurement) -> Floats:
         raise InputError(
             f"measurement: expected a white whose spectrum is known, as D65, got {white}"
         )
-    shape = colour.SpectralShape(360, 780, 1)
-    wavelengths = shape.range()
-    joined = np.stack([np.interp(wavelengths, bands, row) for row in np.eye(len(bands))])
-    cmfs = colour.MSDS_CMFS[_OBSERVERS[observer]].copy().align(shape)
-    light = colour.SDS_ILLUMINANTS[white].copy().align(shape)
-    xyz = colour.msds_to_XYZ(joined, cmfs, light, method="Integration", shape=shape)
-    return np.asarray(xyz, np.float64).T / WHITE_LEVEL
+    return Illuminant.of(white).xyz_weights(bands, observer).T
 
 
 def _observer(measurement: BrdfMeasurement) -> str:
     name = measurement.metadata.observer
-    if name not in _OBSERVERS:
+    if name not in OBSERVERS:
         raise InputError(
-            f"measurement: observer: expected one of {', '.join(_OBSERVERS)}, got {name!r}"
+            f"measurement: observer: expected one of {', '.join(OBSERVERS)}, got {name!r}"
         )
     return name
 
@@ -170,7 +159,7 @@ def _white_xy(white: str, observer: str) -> Floats:
     require(f"whites other than {', '.join(_WHITES[observer])}", "spectral")
     import colour
 
-    known = colour.CCS_ILLUMINANTS[_OBSERVERS[observer]]
+    known = colour.CCS_ILLUMINANTS[OBSERVERS[observer]]
     if white not in known:
         raise InputError(
             f"measurement: white: expected D65, D50, A, E or another that is known, got {white!r}"

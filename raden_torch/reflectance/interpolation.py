@@ -117,7 +117,7 @@ def interpolate(grid: AngleGrid, values: Floats, scheme: str) -> Interpolant:
 
     Args:
         grid: `why_not` must have nothing against it, but for "trilinear".
-        values: `[A, R, T, 3]` XYZ reflectance factors without gaps.
+        values: `[A, R, T, C]` reflectance factors without gaps, X, Y, Z the first three.
         scheme: of `SCHEMES`.
 
     Returns:

@@ -33,7 +33,7 @@ class Derived:
     """A table at the nodes of `GRID`.
 
     Attributes:
-        values: `[A, R, T, 3]` XYZ reflectance factors.
+        values: `[A, R, T, C]` reflectance factors.
         measured: `[A, R, T]`, a reading lies within half a step of the node.
         why: what was assumed, how far the readings bear it out, what it reaches; one sentence.
     """
@@ -79,7 +79,7 @@ def derive(
         "nodes lie among these, the others hold the nearest value"
     )
     inner = (abs(angles_deg) <= GRID.high + STEP_DEG / 2).all(axis=1)
-    return Derived(values.reshape(*GRID.shape, 3), nodes_read(GRID, angles_deg[inner]), why)
+    return Derived(values.reshape(*GRID.shape, -1), nodes_read(GRID, angles_deg[inner]), why)
 
 
 def _on_both_sides(readings: LogReadings) -> LogReadings:

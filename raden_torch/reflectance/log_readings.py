@@ -29,7 +29,7 @@ class LogReadings:
 
     Attributes:
         angles_deg: `[M, 3]` incidence, receiving, tilt, canonical.
-        logs: `[M, 3]` of XYZ reflectance factors, log(`FLOOR` + value).
+        logs: `[M, C]` of reflectance factors, X, Y, Z the first three, log(`FLOOR` + value).
         noise: `[M]` variance of the logarithm of Y over `spread`.
         spread: the variance of the logarithm of Y over all readings.
     """
@@ -51,8 +51,8 @@ class LogReadings:
 
         Args:
             angles_deg: `[M, 3]`.
-            xyz: `[M, 3]` reflectance factors.
-            std: `[M, 3]` of them, which becomes `noise`; 0 where there is none.
+            xyz: `[M, C]` reflectance factors, X, Y, Z the first three.
+            std: `[M, 3]` of these, which becomes `noise`; 0 where there is none.
             count: `[M]`, the weight of each.
 
         Raises:

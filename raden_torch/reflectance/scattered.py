@@ -44,7 +44,7 @@ def on_grid(grid: AngleGrid, readings: LogReadings) -> tuple[Floats, Bools, Fill
         grid: evenly spaced, enclosing the readings.
 
     Returns:
-        XYZ reflectance factors `[A, R, T, 3]`, NaN beyond `REACH` steps from the nodes around a
+        Reflectance factors `[A, R, T, C]`, NaN beyond `REACH` steps from the nodes around a
         reading; where a reading lies within half a step, `[A, R, T]`; the same with its history.
     """
     touched = np.zeros(grid.shape, bool)
@@ -59,7 +59,7 @@ def on_grid(grid: AngleGrid, readings: LogReadings) -> tuple[Floats, Bools, Fill
             touched[tuple(around.astype(int).T)] = True
     from_equivalent &= ~measured
     near = ndimage.binary_dilation(touched, iterations=REACH)
-    table = np.full((*grid.shape, 3), np.nan)
+    table = np.full((*grid.shape, readings.logs.shape[1]), np.nan)
     table[near] = np.maximum(np.exp(readings.kriged()(grid.nodes_deg()[near])) - FLOOR, 0)
     kriged = near & ~measured & ~from_equivalent
     nothing = np.zeros(grid.shape, bool)

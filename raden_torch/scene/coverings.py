@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from raden_torch.artwork.box_decoration import GOLD, SEAM
-from raden_torch.brdf.files.model_file import load_model
+from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.metal import Foil
 from raden_torch.brdf.materials.simulated_shell import SimulatedShell
@@ -111,7 +112,7 @@ class MaterialNames:
             coverings = tuple(Covering(table.name, shell, LAYERS, True) for shell in shells)
             return Named(coverings, scales, table.shell, None)
         if table.model is not None:
-            model = load_model(self._folder / table.model)
+            model: Any = load_lit(self._folder / table.model)
             source = model.provenance
             covering = Covering(table.name, model, LAYERS, source.simulated)
             return Named((covering,), (1.0,), source.sample if source.simulated else None, None)

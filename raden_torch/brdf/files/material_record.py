@@ -10,15 +10,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any, TypeVar, cast
 
+import numpy as np
 from torch import Tensor
 
 from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.metal import Foil, Powder
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
+from raden_torch.brdf.materials.spectral import SpectralBrdf
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.materials.urushi import Lambertian
-from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError
 
@@ -166,7 +168,8 @@ _KINDS: dict[str, Callable[[Record, Mapping[int, Reflection], str], Reflection]]
 
 def runtime_record(model: RuntimeBrdf) -> Record:
     """A table without a fit form, but for its values."""
-    return {"runtime": asdict(model.layout)}
+    known = {} if model.provenance is None else {"provenance": asdict(model.provenance)}
+    return {"runtime": asdict(model.layout), **known}
 
 
 def runtime_of(about: Record, tensors: Mapping[str, Tensor], where: str) -> RuntimeBrdf:
@@ -181,7 +184,34 @@ def runtime_of(about: Record, tensors: Mapping[str, Tensor], where: str) -> Runt
         raise InputError(
             f"{where}: values: expected shape {[*layout.shape, 3]}, got {list(values.shape)}"
         )
-    return RuntimeBrdf(values, layout)
+    known = about.get("provenance")
+    source = None if known is None else _checked(known, Provenance, f"{where}: provenance")
+    return RuntimeBrdf(values, layout, source)
+
+
+@dataclass
+class _Spectral:
+    wavelengths_nm: tuple[float, ...]
+    runtime: RuntimeLayout
+    provenance: Provenance
+
+
+def spectral_record(model: SpectralBrdf) -> Record:
+    """A spectral model, but for its values."""
+    nm = tuple(model.wavelengths_nm.tolist())
+    return asdict(_Spectral(nm, model.layout, model.provenance))
+
+
+def spectral_of(about: Record, tensors: Mapping[str, Tensor], where: str) -> SpectralBrdf:
+    """It again.
+
+    Raises:
+        InputError: values that are not of this layout and these bands.
+        KeyError: there are none.
+    """
+    said = _checked(about, _Spectral, where)
+    wavelengths = np.array(said.wavelengths_nm)
+    return SpectralBrdf(tensors["values"], said.runtime, wavelengths, said.provenance)
 
 
 def _checked(record: Record, kind: type[T], where: str) -> T:

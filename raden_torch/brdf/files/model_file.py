@@ -17,8 +17,11 @@ from raden_torch.brdf.files.material_record import (
     material_of,
     runtime_of,
     runtime_record,
+    spectral_of,
+    spectral_record,
 )
 from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.spectral import SpectralBrdf
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.layout_choice import choose_layout
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
@@ -30,8 +33,11 @@ from raden_torch.files import check_output, check_seekable, written_beside
 FORMAT = "raden_torch model"
 VERSION = 2
 """Of files with more than one `RadenBrdf`, which is version 1."""
+SPECTRAL_VERSION = 3
+"""Of spectral models; the newest."""
 QUANTITY = "f_r in 1/sr, without the cosine"
 COLOUR = "linear RGB, sRGB primaries, D65 white, unclipped"
+IN_BANDS = "spectral bands"
 _MAX_HEADER = 16_000_000
 _MAX_BYTES = 2_000_000_000
 
@@ -49,12 +55,13 @@ class _About:
     runtime: RuntimeLayout | None = None
 
 
-def save_model(model: Reflection, path: str | os.PathLike[str]) -> None:
+def save_model(model: Reflection | SpectralBrdf, path: str | os.PathLike[str]) -> None:
     """Write a model, a palette, or another material; `load_model` gives back an equal one.
 
     Args:
         model: a `RadenBrdf`; or a `Palette`, `AnisotropicBrdf`, `Coated`, `Powder`, `Foil` or
-            `Lambertian`, which are kept as what they are made of, models in them included.
+            `Lambertian`, which are kept as what they are made of, models in them included; or a
+            `SpectralBrdf`.
 
     Raises:
         InputError: a suffix other than .safetensors, a place that cannot be written, or a material
@@ -68,7 +75,7 @@ def save_model(model: Reflection, path: str | os.PathLike[str]) -> None:
     from safetensors.torch import save
 
     if not callable(getattr(model, "of_unit_vectors", None)):
-        check_type("model", model, (RadenBrdf, Palette), "fit(…).model is one")
+        check_type("model", model, (RadenBrdf, Palette, SpectralBrdf), "fit(…).model is one")
     target = check_output(path, (".safetensors",))
     about, tensors = described(model)
     stored = {
@@ -80,10 +87,13 @@ def save_model(model: Reflection, path: str | os.PathLike[str]) -> None:
         temporary.write_bytes(data)
 
 
-def described(model: Reflection) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+def described(model: Reflection | SpectralBrdf) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
     """What a file holds: its metadata and its tensors."""
     if isinstance(model, RadenBrdf):
         return describe(model), model.state_dict()
+    if isinstance(model, SpectralBrdf):
+        head = {"version": SPECTRAL_VERSION, "quantity": QUANTITY, "colour": IN_BANDS}
+        return {**head, "spectral": spectral_record(model)}, model.state_dict()
     records = Records()
     about: dict[str, Any] = {"version": VERSION, "quantity": QUANTITY, "colour": COLOUR}
     if isinstance(model, Palette):
@@ -126,8 +136,8 @@ def load_model(path: str | os.PathLike[str]) -> Any:
     """Read what `save_model` wrote, onto the CPU.
 
     Returns:
-        The `RadenBrdf` that `raden fit` writes of one measurement; the `Palette` or the material
-        that was saved otherwise.
+        The `RadenBrdf` that `raden fit` writes of one measurement, or the `SpectralBrdf` with
+        --spectral; the `Palette` or the material that was saved otherwise.
 
     Raises:
         InputError: not a file of ours, of a newer format, truncated, in another quantity or colour
@@ -149,7 +159,8 @@ def load_model(path: str | os.PathLike[str]) -> Any:
     about = _read_about(path)
     try:
         tensors = load(path.read_bytes())
-        model = _several(about, tensors) if "models" in about else assemble(about, tensors)
+        read = next((of for key, of in _READERS.items() if key in about), assemble)
+        model = read(about, tensors)
     except (
         *(SafetensorError, KeyError, TypeError, ValueError, OverflowError),
         *(AttributeError, RecursionError),
@@ -171,15 +182,33 @@ def load_brdf(path: str | os.PathLike[str], what: str = "") -> RadenBrdf:
         what: needs it, for the message.
 
     Raises:
-        InputError: it holds a palette or another material; whatever `load_model` raises.
+        InputError: it holds a palette, another material or bands; whatever `load_model` raises.
     """
-    model = load_model(path)
+    model = load_rgb(path, what)
     if isinstance(model, RadenBrdf):
         return model
     kind = f"a palette of {len(model)}" if isinstance(model, Palette) else type(model).__name__
     raise InputError(
         f"{path}: {what or 'model'}: expected the model of one measurement, got {kind}"
     )
+
+
+def load_rgb(path: str | os.PathLike[str], what: str = "") -> Reflection:
+    """`load_model`, of a file that has to hold a material in RGB.
+
+    Args:
+        what: needs it, for the message.
+
+    Raises:
+        InputError: it holds a spectral model; whatever `load_model` raises.
+    """
+    model: Reflection | SpectralBrdf = load_model(path)
+    if isinstance(model, SpectralBrdf):
+        raise InputError(
+            f"{path}: {what or 'model'}: expected a model in RGB, got a spectral one of "
+            f"{len(model)} bands; `raden fit` without --spectral makes one"
+        )
+    return model
 
 
 def _several(about: dict[str, Any], tensors: Mapping[str, torch.Tensor]) -> Reflection:
@@ -208,9 +237,9 @@ def _several(about: dict[str, Any], tensors: Mapping[str, torch.Tensor]) -> Refl
     return Palette(members, names)
 
 
-def _check_kind(about: Mapping[str, Any], where: str) -> None:
-    """Raise InputError unless it is in the one quantity and colour space that models have."""
-    for name, wanted in (("quantity", QUANTITY), ("colour", COLOUR)):
+def _check_kind(about: Mapping[str, Any], where: str, colour: str = COLOUR) -> None:
+    """Raise InputError unless it is in the quantity that models have, and in this colour space."""
+    for name, wanted in (("quantity", QUANTITY), ("colour", colour)):
         if about.get(name) != wanted:
             raise InputError(f"{where}: {name}: expected {wanted}, got {about.get(name)!r:.80}")
 
@@ -241,9 +270,10 @@ def _read_about(path: Path) -> dict[str, Any]:
         version = int(about["version"])
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
         raise InputError(f"{path}: expected a model's metadata, got damaged ones") from None
-    if version > VERSION:
+    if version > SPECTRAL_VERSION:
         raise InputError(
-            f"{path}: model format: expected up to {VERSION}, got {version}; update raden_torch"
+            f"{path}: model format: expected up to {SPECTRAL_VERSION}, got {version}; update "
+            "raden_torch"
         )
     return dict(about)
 
@@ -278,3 +308,13 @@ def assemble(
     )
     model.layout = said.runtime or choose_layout(model)  # older files have none
     return model
+
+
+def _spectral(about: dict[str, Any], tensors: Mapping[str, torch.Tensor]) -> SpectralBrdf:
+    """A spectral model; errors as of `_several`."""
+    _check_kind(about, "file", IN_BANDS)
+    return spectral_of(about["spectral"], tensors, "spectral")
+
+
+_READERS = {"models": _several, "spectral": _spectral}
+"""By what of the metadata only they have."""

@@ -25,6 +25,7 @@ NODES = 110_000
 _CUTS = np.array([1, 2, 4, 8, 16])
 _SAMPLES = 20_000
 _SCALE = 0.005  # of both errors, RMS over the 99.9 % quantile and mean |Δ log(1+Y)|
+_VALUES_AT_ONCE = 1_000_000  # of all channels; meanwhile some 30 times as many are kept
 _MARGIN = 2.0  # measured steps beyond the box along receiving that a cell at its edge may touch
 
 
@@ -63,10 +64,22 @@ def bake(
     margin = _MARGIN * step[1] + 1e-9
     used = (angles[..., 1] >= receiving[0] - margin) & (angles[..., 1] <= receiving[-1] + margin)
     values = np.zeros((*used.shape, inner.cap.shape[-1]))
-    values[used] = function(angles[used])
+    values[used] = in_parts(function, angles[used])
     if function.grid.is_mirrored:
         _average_equivalents(values, len(pieces[0]), pieces[1])
     return BakedTable(values, pieces)
+
+
+def in_parts(function: Callable[[Floats], Floats], angles_deg: Floats) -> Floats:
+    """The function at `[M, 3]` angles, so many at a time that what it keeps meanwhile is small."""
+    first = function(angles_deg[:1])
+    count = max(1, _VALUES_AT_ONCE // first.shape[1])
+    parts = np.split(angles_deg, range(count, len(angles_deg), count))
+    return (
+        np.concatenate([function(part) for part in parts])
+        if len(parts) > 1
+        else function(angles_deg)
+    )
 
 
 def _longer(pieces: Pieces, inner: AngleGrid, whole: AngleGrid) -> Pieces:

@@ -81,9 +81,10 @@ def fit(
     diffuse = "floor" if diffuse is None else diffuse
     _check(measurement, diffuse, outside)
     table = tabulate(measurement, assume)
-    if outside == "continued" and (size := _too_large(table)):
+    if outside == "continued" and (size := too_large(table)):
         outside = "diffuse"
-        table = replace(table, warnings=(*table.warnings, size))
+        why = f"{size}: outside the measured box the diffuse part stands alone"
+        table = replace(table, warnings=(*table.warnings, why))
     return _fitted(measurement, table, diffuse, interpolation, validation, outside)
 
 
@@ -107,10 +108,10 @@ def _fitted(
 ) -> FitResult:
     """`fit` of a table of the measurement's readings."""
     parameters = (
-        fit_diffuse(*_for_diffuse(table), to=diffuse) if isinstance(diffuse, str) else diffuse
+        fit_diffuse(*for_diffuse(table), to=diffuse) if isinstance(diffuse, str) else diffuse
     )
     part = _diffuse_part(parameters)
-    total = _without_gaps(table, part)
+    total = np.where(np.isnan(table.values), diffuse_at_nodes(table, parameters), table.values)
     chosen = choose_interpolation(table, total, interpolation, validation)
     model = RadenBrdf(part, make_table(table, total, chosen.scheme, outside))
     fitted_to = diffuse if isinstance(diffuse, str) else BY_HAND
@@ -125,18 +126,18 @@ def _fitted(
     return FitResult(model, report)
 
 
-def _too_large(table: Tabulated) -> str:
-    """What to warn of where a table that reaches to the horizon would be too large; else empty."""
+def too_large(table: Tabulated) -> str:
+    """What is wrong where a table that reaches to the horizon would be too large; else empty."""
     shape = to_horizon(table.grid).shape
     if math.prod(shape) <= MAX_CELLS:
         return ""
     return (
         f"on its steps a table to the horizon has {' x '.join(map(str, shape))} nodes, more than "
-        f"{MAX_CELLS}: outside the measured box the diffuse part stands alone"
+        f"{MAX_CELLS}"
     )
 
 
-def _for_diffuse(table: Tabulated) -> tuple[tuple[Floats, Floats, Floats], Floats]:
+def for_diffuse(table: Tabulated) -> tuple[tuple[Floats, Floats, Floats], Floats]:
     """Angles and f_r to fit the diffuse part to: the readings; the nodes, where they follow from
     readings that are too few angles for eqs (3)–(6)."""
     if not table.assumed.any():
@@ -159,9 +160,9 @@ def _diffuse_part(parameters: DiffuseParameters) -> CosineDiffuse:
     return CosineDiffuse(scale, exponent)
 
 
-def _without_gaps(table: Tabulated, diffuse: CosineDiffuse) -> Floats:
-    """`[A, R, T, 3]` f_r; nodes without a measured neighbour take the diffuse part."""
+def diffuse_at_nodes(table: Tabulated, parameters: DiffuseParameters) -> Floats:
+    """`[A, R, T, 3]` f_r of the diffuse part, which nodes without a measured neighbour take."""
     angles = _node_angles(table)
     with torch.no_grad():
-        part = diffuse(*(torch.from_numpy(angle)[:, None] for angle in angles))  # [A, 3, R, T]
-    return np.where(np.isnan(table.values), part.movedim(1, -1).numpy(), table.values)
+        part = _diffuse_part(parameters)(*(torch.from_numpy(a)[:, None] for a in angles))
+    return part.movedim(1, -1).numpy()  # of [A, 3, R, T]

@@ -8,12 +8,11 @@ from dataclasses import dataclass, field
 import torch
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.fitting.bake import bake
+from raden_torch.brdf.fitting.bake import bake, in_parts
 from raden_torch.brdf.fitting.tabulate import Tabulated
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.measurement.colour_conversion import f_r_of_xyz, xyz_of_f_r
 from raden_torch.reflectance.continuation import continued
 from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.interpolation import SCHEMES, Interpolant, interpolate, why_not
@@ -43,7 +42,7 @@ def choose_interpolation(
     """Decide what lies between the nodes; see `reflectance.scheme_choice`.
 
     Args:
-        total: `[A, R, T, 3]` f_r without gaps.
+        total: `[A, R, T, C]` f_r without gaps.
         wanted: a key of `SCHEMES`, "kriging" (of scattered readings), or "auto".
 
     Raises:
@@ -68,7 +67,7 @@ def choose_interpolation(
         return Choice(wanted, "as asked for")
     if reason:
         return Choice("trilinear", f"the only one that supports this measurement: {reason}")
-    xyz = xyz_of_f_r(total)
+    xyz = table.channels.factors(total)
     if validation is not None:
         points, truth = _validation_points(table, validation)
         found = losses(_all_schemes(table, xyz), points, truth)
@@ -90,16 +89,16 @@ def make_table(table: Tabulated, total: Floats, scheme: str, outside: str) -> Re
     """
     if scheme == "trilinear" and outside == "diffuse":
         return _as_table(table.grid, total)
-    xyz = xyz_of_f_r(total)
+    xyz = table.channels.factors(total)
     function, like = _function(table, xyz, scheme)
     reaching = continued(function, xyz) if outside == "continued" else function
     if scheme == "trilinear":
-        values = f_r_of_xyz(reaching(reaching.grid.nodes_deg().reshape(-1, 3)))
-        whole = values.reshape(*reaching.grid.shape, 3)
+        values = table.channels.f_r(in_parts(reaching, reaching.grid.nodes_deg().reshape(-1, 3)))
+        whole = values.reshape(*reaching.grid.shape, -1)
         whole[reaching.grid.part(table.grid)] = total  # measured nodes to the bit
         return _as_table(reaching.grid, whole)
     baked = bake(reaching, like=like)
-    return _as_table(reaching.grid, f_r_of_xyz(baked.values), baked.pieces)
+    return _as_table(reaching.grid, table.channels.f_r(baked.values), baked.pieces)
 
 
 def _as_table(grid: AngleGrid, f_r: Floats, pieces: Pieces | None = None) -> ReflectanceTable:

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from raden_torch.arrays import Bools, Floats
+from raden_torch.brdf.fitting.channels import IN_RGB, Channels
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
-from raden_torch.measurement.colour_conversion import f_r_of_xyz
 from raden_torch.measurement.opposite_tilts import with_opposite_tilts
-from raden_torch.measurement.readings import FACTOR_PER_SR, LEAST_COVERAGE, RGB
+from raden_torch.measurement.readings import FACTOR_PER_SR, LEAST_COVERAGE
 from raden_torch.reflectance.gap_filling import fill
 from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.isotropic import GRID, derive
@@ -36,7 +36,7 @@ class Tabulated:
 
     Attributes:
         grid: evenly spaced.
-        values: `[A, R, T, 3]` f_r in 1/sr; NaN in the nodes of `without_neighbour`.
+        values: `[A, R, T, C]` f_r in 1/sr; NaN in the nodes of `without_neighbour`.
         before_averaging: the same before equivalents at incidence 0 were averaged; NaN where no
             node has a reading of its own.
         measured: the node was measured; scattered readings: one lies within half a step.
@@ -44,10 +44,11 @@ class Tabulated:
         from_equivalent, from_neighbours, without_neighbour, averaged: see `gap_filling.Filled`.
         asymmetry: see `gap_filling.Filled`.
         reading_angles: incidence, receiving, tilt of the valid readings, `[M]` each, in radians.
-        readings: `[M, 3]` their f_r in 1/sr.
+        readings: `[M, C]` their f_r in 1/sr.
         scattered: the readings, where they do not lie on nodes or fill less than half of them.
         assumption: one sentence; empty where nothing was assumed.
         warnings: one sentence each.
+        channels: what C stands for.
     """
 
     grid: AngleGrid
@@ -65,9 +66,12 @@ class Tabulated:
     scattered: LogReadings | None
     assumption: str
     warnings: tuple[str, ...]
+    channels: Channels = IN_RGB
 
 
-def tabulate(measurement: BrdfMeasurement, assume: str | None = None) -> Tabulated:
+def tabulate(
+    measurement: BrdfMeasurement, assume: str | None = None, channels: Channels = IN_RGB
+) -> Tabulated:
     """Put readings on a table.
 
     Readings on a grid keep their nodes. Scattered ones, ones at several sample azimuths, and ones
@@ -77,33 +81,35 @@ def tabulate(measurement: BrdfMeasurement, assume: str | None = None) -> Tabulat
         assume: "isotropic": readings stand for the opposite tilt, too; where they tell of less
             than half of the table even so, it follows from them by `reflectance.isotropic.derive`.
 
+        channels: what the table holds.
+
     Raises:
         InputError: no valid reading, one value only on an axis, readings in fewer than 5 % of the
             cells, a table too large; an assumption that is not known or does not suffice.
     """
     if assume is None:
-        return _tabulated(measurement)
+        return _tabulated(measurement, channels)
     if assume != "isotropic":
         raise InputError(f"assume: expected 'isotropic', got {assume!r}")
     _check_readings(measurement)
-    rgb, angles = _readings(measurement)
+    known, angles = _readings(measurement, channels)
     both, assumption = with_opposite_tilts(measurement)
-    table = None if _single_valued(both) else _tabulated(both)
+    table = None if _single_valued(both) else _tabulated(both, channels)
     if table is None or table.without_neighbour.mean() > _MOSTLY:
-        return _derived(measurement)
-    on_table = np.clip(rgb.angles_deg, table.grid.low, table.grid.high)  # encoders read past it
+        return _derived(measurement, channels)
+    on_table = np.clip(known.angles_deg, table.grid.low, table.grid.high)  # encoders read past it
     read = nodes_read(table.grid, on_table)
     return replace(
         table,
         measured=table.measured & read,
         assumed=table.measured & ~read,
         reading_angles=angles,
-        readings=rgb.values / FACTOR_PER_SR,
+        readings=known.values / FACTOR_PER_SR,
         assumption=assumption,
     )
 
 
-def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
+def _tabulated(measurement: BrdfMeasurement, channels: Channels) -> Tabulated:
     _check_readings(measurement)
     flat = _single_valued(measurement)
     if flat:
@@ -111,8 +117,8 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
             "measurement: expected at least two values on each of incidence, receiving and tilt, "
             f'got {flat}; if the sample is isotropic, `assume="isotropic"` derives the rest'
         )
-    every, warnings = _as_rgb(measurement)
-    rgb, angles = _readings(measurement)
+    every, warnings = channels.of(measurement)
+    known, angles = _readings(measurement, channels)
     nodes = _nodes(every)
     if nodes is None:
         nodes, off_deg = _near_nodes(every)
@@ -120,15 +126,13 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
             warnings.append(f"angles up to {off_deg:.2g} deg off a grid were taken as on it")
     scattered = None
     if nodes is None:
-        grid = AngleGrid.around(rgb.angles_deg, SCATTERED_STEP_DEG)
-        known = _valid_xyz(measurement)
-        scattered = with_noise(
-            LogReadings.of(known.angles_deg, known.values, known.std, known.count)
-        )
-        xyz, measured, filled = on_grid(grid, scattered)
-        start = f_r_of_xyz(xyz)
+        grid = AngleGrid.around(known.angles_deg, SCATTERED_STEP_DEG)
+        factors, std = channels.factors_of(measurement)
+        scattered = with_noise(LogReadings.of(known.angles_deg, factors, std, known.count))
+        kriged, measured, filled = on_grid(grid, scattered)
+        start = channels.f_r(kriged)
         filled = replace(filled, values=start)
-        warnings.append(_scattered_warning(rgb))
+        warnings.append(_scattered_warning(known))
     else:
         grid, start, measured = nodes.axes_deg, nodes.values / FACTOR_PER_SR, nodes.measured
         filled = fill(grid, start)
@@ -144,27 +148,28 @@ def _tabulated(measurement: BrdfMeasurement) -> Tabulated:
         averaged=filled.averaged,
         asymmetry=filled.asymmetry,
         reading_angles=angles,
-        readings=rgb.values / FACTOR_PER_SR,
+        readings=known.values / FACTOR_PER_SR,
         scattered=scattered,
         assumption="",
         warnings=tuple(warnings),
+        channels=channels,
     )
 
 
-def _nodes(rgb: BrdfMeasurement) -> ReadingGrid | None:
+def _nodes(every: BrdfMeasurement) -> ReadingGrid | None:
     """The evenly spaced grid that the readings fill half of; None where they lie scattered."""
-    nodes = _uniform(rgb.grid()) if rgb.is_grid else None
+    nodes = _uniform(every.grid()) if every.is_grid else None
     return nodes if nodes is not None and nodes.measured.mean() >= _MOSTLY else None
 
 
-def _near_nodes(rgb: BrdfMeasurement) -> tuple[ReadingGrid | None, float]:
+def _near_nodes(every: BrdfMeasurement) -> tuple[ReadingGrid | None, float]:
     """The same of angles as encoders read them, a little beside the nodes; how far at most."""
     for decimals in _ROUNDED_TO:
-        rounded = np.round(rgb.angles_deg, decimals).T
+        rounded = np.round(every.angles_deg, decimals).T
         try:
             nodes = _nodes(
                 replace(
-                    rgb,
+                    every,
                     incidence_deg=rounded[0],
                     receiving_deg=rounded[1],
                     tilt_deg=rounded[2],
@@ -173,16 +178,16 @@ def _near_nodes(rgb: BrdfMeasurement) -> tuple[ReadingGrid | None, float]:
         except InputError:  # readings of one node contradict
             continue
         if nodes is not None:
-            return nodes, float(abs(rounded.T - rgb.angles_deg).max())
+            return nodes, float(abs(rounded.T - every.angles_deg).max())
     return None, 0.0
 
 
-def _derived(measurement: BrdfMeasurement) -> Tabulated:
+def _derived(measurement: BrdfMeasurement, channels: Channels) -> Tabulated:
     """From readings of one plane or one view of an isotropic sample."""
-    rgb, angles = _readings(measurement)
-    xyz = _valid_xyz(measurement)
-    derived = derive(xyz.angles_deg, xyz.values, xyz.std, xyz.count)
-    values = f_r_of_xyz(derived.values)
+    known, angles = _readings(measurement, channels)
+    factors, std = channels.factors_of(measurement)
+    derived = derive(known.angles_deg, factors, std, known.count)
+    values = channels.f_r(derived.values)
     none = np.zeros_like(derived.measured)
     return Tabulated(
         grid=GRID,
@@ -196,10 +201,11 @@ def _derived(measurement: BrdfMeasurement) -> Tabulated:
         averaged=none,
         asymmetry=float("nan"),
         reading_angles=angles,
-        readings=rgb.values / FACTOR_PER_SR,
+        readings=known.values / FACTOR_PER_SR,
         scattered=None,
         assumption=derived.why,
-        warnings=tuple(_as_rgb(measurement)[1]),
+        warnings=tuple(channels.of(measurement)[1]),
+        channels=channels,
     )
 
 
@@ -212,14 +218,14 @@ def _check_readings(measurement: BrdfMeasurement) -> None:
 
 
 def _readings(
-    measurement: BrdfMeasurement,
+    measurement: BrdfMeasurement, channels: Channels
 ) -> tuple[BrdfMeasurement, tuple[Floats, Floats, Floats]]:
-    """The valid readings in linear RGB; incidence, receiving and tilt of them in radians."""
-    rgb = _as_rgb(measurement.select(measurement.valid))[0]
-    return rgb, (
-        np.deg2rad(rgb.incidence_deg),
-        np.deg2rad(rgb.receiving_deg),
-        np.deg2rad(rgb.tilt_deg),
+    """The valid readings; incidence, receiving and tilt of them in radians."""
+    known = channels.of(measurement.select(measurement.valid))[0]
+    return known, (
+        np.deg2rad(known.incidence_deg),
+        np.deg2rad(known.receiving_deg),
+        np.deg2rad(known.tilt_deg),
     )
 
 
@@ -244,23 +250,6 @@ def _check_coverage(measurement: BrdfMeasurement) -> None:
         f"{len(measurement)} cells, since the other cells are estimated from them, got "
         f"{100 * share:.1f} %; measure more" + (f", with {advice}" if advice else "")
     )
-
-
-def _as_rgb(measurement: BrdfMeasurement) -> tuple[BrdfMeasurement, list[str]]:
-    """Linear RGB; bands that make no colour become a grey, with a warning."""
-    if measurement.is_spectral and not measurement.has_colour:
-        bands = ", ".join(measurement.channels[:4])
-        grey = np.repeat(measurement.values.mean(axis=1, keepdims=True), 3, axis=1)
-        warning = f"the bands ({bands}) make no colour: the model is grey"
-        return replace(measurement, values=grey, channels=RGB, std=None), [warning]
-    return measurement.as_rgb(), []
-
-
-def _valid_xyz(measurement: BrdfMeasurement) -> BrdfMeasurement:
-    """The valid readings, from what was measured where that makes a colour: its `std` is kept."""
-    known = measurement.select(measurement.valid)
-    grey = known.is_spectral and not known.has_colour
-    return _as_rgb(known)[0].as_xyz() if grey else known.as_xyz()
 
 
 def _uniform(grid: ReadingGrid) -> ReadingGrid | None:
@@ -292,11 +281,11 @@ def _common_step(axis: Floats) -> float:
     return float(np.gcd.reduce(np.rint(np.diff(axis) * 1e4).astype(np.int64))) / 1e4
 
 
-def _scattered_warning(rgb: BrdfMeasurement) -> str:
-    text = f"{len(rgb)} scattered readings were kriged onto a {SCATTERED_STEP_DEG:g} deg table"
-    if rgb.azimuths > 1:
+def _scattered_warning(known: BrdfMeasurement) -> str:
+    text = f"{len(known)} scattered readings were kriged onto a {SCATTERED_STEP_DEG:g} deg table"
+    if known.azimuths > 1:
         text += (
-            f"; the model knows no sample azimuth and takes all {rgb.azimuths} of them as one "
+            f"; the model knows no sample azimuth and takes all {known.azimuths} of them as one "
             "(`raden fit --by-azimuth` fits each)"
         )
     return text

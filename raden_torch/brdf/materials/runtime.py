@@ -19,7 +19,7 @@ from raden_torch import geometry
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.balance import balanced
-from raden_torch.brdf.model.model import RadenBrdf, model_state
+from raden_torch.brdf.model.model import Provenance, RadenBrdf, model_state
 from raden_torch.brdf.model.runtime_table import (
     RuntimeLayout,
     address_of_angles,
@@ -45,15 +45,19 @@ class RuntimeBrdf(nn.Module):
     Attributes:
         layout: the nodes of the table.
         values: `[U, V, W, 3]` f_r in 1/sr.
+        provenance: of the measurement that it was made of, where there is one.
     """
 
     values: Tensor
     table = None
     diffuse_gain = specular_gain = 1.0
 
-    def __init__(self, values: Tensor, layout: RuntimeLayout) -> None:
+    def __init__(
+        self, values: Tensor, layout: RuntimeLayout, provenance: Provenance | None = None
+    ) -> None:
         super().__init__()
         self.layout = layout
+        self.provenance = provenance
         self.register_buffer("values", values)
 
     def of_unit_vectors(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
@@ -61,6 +65,12 @@ class RuntimeBrdf(nn.Module):
         if kernel.takes_tensors(n, l, v, self.values):
             return kernel.brdf(self.values, self.layout.warp, n, l, v)
         return read(self.values.to(n.dtype), self.layout.warp, n, l, v)
+
+    @property
+    def measured_box_deg(self) -> tuple[tuple[float, float], ...]:
+        """As of a `RadenBrdf`; empty where it was made of no measurement."""
+        box = self.provenance.fit.get("box_deg", ()) if self.provenance else ()
+        return tuple((float(low), float(high)) for low, high in box)
 
     def runtime_table(self) -> Tensor:
         """`values`."""
@@ -122,10 +132,10 @@ def parts_of(material: Any) -> list[Any]:
     return [part for part in parts if part is not None]
 
 
-def models_of(material: Any) -> list[RadenBrdf]:
+def models_of(material: Any) -> list[Any]:
     """The measured or simulated models that a material, or the members of a palette, are made of;
-    each once."""
-    if isinstance(material, RadenBrdf):
+    each once: what has a `provenance`."""
+    if getattr(material, "provenance", None) is not None:
         return [material]
     members = list(material) if isinstance(material, Iterable) else []
     found = [m for part in (*parts_of(material), *members) for m in models_of(part)]

@@ -15,6 +15,7 @@ from torch import Tensor
 from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.metal import Powder
 from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.spectral import SpectralBrdf
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
@@ -89,6 +90,10 @@ def shade(
     """
     check_type("lights", lights, (Sequence, *_LIGHTS), "give a list of lights")
     lights = [lights] if isinstance(lights, Light) else list(lights)
+    if isinstance(model, SpectralBrdf):
+        raise InputError(
+            'model: expected a material, got a spectral model; model.under("D65") is one'
+        )
     check_type("gbuffer", gbuffer, GBuffer, "make it by GBuffer(normal=…, view=…)")
     check_type("tolerance", tolerance, (float, Real))
     if not 0 <= tolerance < float("inf"):

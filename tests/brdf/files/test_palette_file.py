@@ -107,7 +107,7 @@ def _set(*way: Any, to: Any) -> Callable[[dict[str, Any], dict[str, Any]], None]
 
 
 DAMAGE = {
-    "newer": (_set("version", to=3), "expected up to 2, got 3"),
+    "newer": (_set("version", to=4), "expected up to 3, got 4"),
     "colour": (_set("models", 1, "colour", to="XYZ"), r"models\[1\]: colour: expected linear RGB"),
     "quantity": (_set("quantity", to="reflectance factor"), "quantity: expected f_r in 1/sr"),
     "kind": (_set("palette", 3, "material", "kind", to="Pickle"), "gold: kind: expected one of"),

@@ -220,7 +220,7 @@ def test_foreign_and_damaged_files_are_refused(model, tmp_path: Path) -> None:
     refused("got a damaged one")
     path.write_bytes(whole)
     rewrite(path, lambda header, about: about.update(version=99))
-    refused("model format: expected up to 2, got 99")
+    refused("model format: expected up to 3, got 99")
     path.write_bytes(whole)
     rewrite(path, lambda header, about: about.pop("step_deg"))
     refused("got a damaged one")
