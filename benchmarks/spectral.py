@@ -12,12 +12,18 @@ quantile of Y under D65 is white. Printed for each illuminant, median and 95 % o
 - metamer: the shell beside a pigment that has, in every geometry, the same colour under D65: the
   smoothest spectrum of these X, Y, Z (least squares of its second differences).
 
+With --feather it prints "x lamp", "white lamp" and "metamer" of measured spectra instead: a duck's
+iridescent wing at angles 5 degrees apart (`shared/data/iridescence/teal.rda`, of pavo).
+
 With --out it draws the sphere under each of them, the shell above, the pigment below.
 """
 
 from __future__ import annotations
 
 import argparse
+import gzip
+import re
+import struct
 import time
 from pathlib import Path
 
@@ -78,14 +84,18 @@ def apart(first: Floats, second: Floats) -> str:
     return f"{np.median(difference):.2f} / {np.quantile(difference, 0.95):.2f}"
 
 
-def metamer(model: SpectralBrdf) -> SpectralBrdf:
-    """The pigment: linear in X, Y, Z, so it is a table, too."""
-    weights = Illuminant.of("D65").xyz_weights(model.wavelengths_nm)
+def smoothest(nm: Floats) -> Floats:
+    """`[N, N]`: spectra `[…, N]` @ it are the smoothest of the same X, Y, Z under D65."""
+    weights = Illuminant.of("D65").xyz_weights(nm)
     count = len(weights)
     second = np.diff(np.eye(count), 2, axis=0)
     system = np.block([[second.T @ second, weights], [weights.T, np.zeros((3, 3))]])
-    smoothest = np.linalg.solve(system, np.eye(count + 3)[:, count:])[:count]  # [N, 3]
-    of_bands = torch.from_numpy(weights @ smoothest.T)
+    return np.asarray(weights @ np.linalg.solve(system, np.eye(count + 3)[:, count:])[:count].T)
+
+
+def metamer(model: SpectralBrdf) -> SpectralBrdf:
+    """The pigment: linear in X, Y, Z, so it is a table, too."""
+    of_bands = torch.from_numpy(smoothest(model.wavelengths_nm))
     values = (model.values.double() @ of_bands).float()
     return SpectralBrdf(values, model.layout, model.wavelengths_nm, model.provenance)
 
@@ -107,13 +117,39 @@ def picture(models: list[SpectralBrdf], size: int) -> Tensor:
     return torch.cat(rows, -2)
 
 
+def feather(path: Path) -> None:
+    """Spectra of the file: R's vectors of 401 numbers, 300…700 nm, one for each of 12 angles."""
+    data = gzip.decompress(path.read_bytes())
+    head = struct.pack(">ii", 14, 401)
+    at = [m.end() for m in re.finditer(re.escape(head), data)]
+    nm = np.arange(380.0, 701.0)
+    spectra = [np.frombuffer(data, ">f8", 401, start)[80:] for start in at]
+    every = np.array(spectra, np.float64) / 100
+    exposure = float(xyz_by_colour(every, nm, "D65")[:, 1].max())
+    print(
+        f"{path.name}: {len(every)} spectra, {nm[0]:g}…{nm[-1]:g} nm: x lamp | white lamp | metamer"
+    )
+    for name in ILLUMINANTS:
+        white, own = white_of(nm, name), xyz_by_colour(every, nm, "D65") @ XYZ_TO_SRGB.T
+        wanted = lab(xyz_by_colour(every, nm, name), white, exposure)
+        lit = own * (XYZ_TO_SRGB @ white) @ np.linalg.inv(XYZ_TO_SRGB).T
+        plain = own @ np.linalg.inv(XYZ_TO_SRGB).T
+        pigment = lab(xyz_by_colour(every @ smoothest(nm), nm, name), white, exposure)
+        parts = (lab(lit, white, exposure), lab(plain, D65, exposure), pigment)
+        print(f"{name}: {' | '.join(apart(x, wanted) for x in parts)}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--shell", default="yakogai")
     parser.add_argument("--step", type=float, default=5.0, help="of the measurement, degrees")
     parser.add_argument("--size", type=int, default=96, help="of the sphere, pixels")
     parser.add_argument("--out", type=Path, help="the picture to write")
+    parser.add_argument("--feather", type=Path, help="teal.rda")
     options = parser.parse_args()
+    if options.feather:
+        feather(options.feather)
+        return
     torch.set_num_threads(1)
     bands = rt.simulate_specimen(options.shell, step_deg=options.step, spectral=True)
     rt.fit(rt.simulate_specimen(options.shell, step_deg=35), interpolation="trilinear")  # warm

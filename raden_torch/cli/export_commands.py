@@ -142,19 +142,19 @@ def _osl(what: _Export) -> str:
 
 
 def _plugin(what: _Export) -> str:
-    from raden_torch.brdf.files.model_file import load_model
+    from raden_torch.brdf.files.model_file import load_rgb
     from raden_torch.export.mitsuba.plugin_file import export_plugin
 
-    written = export_plugin(load_model(what.model), what.output)
+    written = export_plugin(load_rgb(what.model, ".xml file"), what.output)
     return f"{written}\nwrote {', '.join(str(file) for file in written.files)}"
 
 
 def _measured(what: _Export) -> str:
-    from raden_torch.brdf.files.model_file import load_model
+    from raden_torch.brdf.files.model_file import load_rgb
     from raden_torch.export.measured.measured_file import export_measured
 
     how = what.measured
-    model = load_model(what.model)
+    model = load_rgb(what.model, ".bsdf file")
     report = export_measured(model, what.output, spectra=how.spectra, average=how.average)
     return f"{report}\nwrote {what.output}"
 

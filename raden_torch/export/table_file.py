@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from raden_torch.brdf.files.model_file import load_model
+from raden_torch.brdf.files.model_file import load_rgb
 from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import Provenance
@@ -118,7 +118,7 @@ def read_form(path: Path) -> RuntimeForm:
             f"got {path.suffix or 'no suffix'}"
         )
     try:
-        return single_table(load_model(path))
+        return single_table(load_rgb(path))
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
