@@ -53,7 +53,7 @@ def export(
         Path,
         output(
             "the file to write: .onnx; .glsl or .wgsl, with the table beside it; .html, a viewer; "
-            ".gltf or .osl, the nearest material that these can say; .xml, for Mitsuba 3, with the "
+            ".gltf, .osl or .mtlx, the nearest material that these can say; .xml, for Mitsuba 3, with the "
             "table beside it; or .bsdf, for the material `measured` of Mitsuba and pbrt-v4"
         ),
     ],
@@ -159,6 +159,14 @@ def _measured(what: _Export) -> str:
     return f"{report}\nwrote {what.output}"
 
 
+def _materialx(what: _Export) -> str:
+    from raden_torch.brdf.files.model_file import load_brdf
+    from raden_torch.export.materialx_file import export_materialx
+
+    report = export_materialx(load_brdf(what.model, ".mtlx file"), what.output)
+    return f"{report}\nwrote {what.output}"
+
+
 _WRITERS: dict[str, Callable[[_Export], str]] = {
     ".onnx": _onnx,
     ".glsl": _shader,
@@ -168,6 +176,7 @@ _WRITERS: dict[str, Callable[[_Export], str]] = {
     ".osl": _osl,
     ".xml": _plugin,
     ".bsdf": _measured,
+    ".mtlx": _materialx,
 }
 
 

@@ -90,13 +90,25 @@ def film_reflectance(cosine: Floats, ior: float, thickness_nm: float, f0: Floats
     shift = np.pi + np.where(base_ior < ior, np.pi, 0.0)
     path_m = 2e-9 * ior * thickness_nm * inside
     between = np.clip(first * second, 1e-5, 0.9999)
+    waves = [sensitivity(order * path_m, order * shift) for order in range(1, _ORDERS + 1)]
+    return np.maximum(airy_orders(first, second, between, waves), 0.0)
+
+
+def airy_orders(first: Floats, second: Floats, between: Floats, waves: list[Floats]) -> Floats:
+    """What a film's interfaces reflect together, by its first orders: Belcour and Barla, eq. (10).
+
+    Args:
+        first, second: reflectance of the interfaces.
+        between: their product, below 1.
+        waves: for each order what `sensitivity` is there.
+    """
     through = (1 - first) ** 2 * second / (1 - between)
     total = first + through
     amplitude = through - (1 - first)
-    for order in range(1, _ORDERS + 1):
+    for wave in waves:
         amplitude = amplitude * np.sqrt(between)
-        total = total + 2 * amplitude * sensitivity(order * path_m, order * shift)
-    return np.maximum(total, 0.0)
+        total = total + 2 * amplitude * wave
+    return total
 
 
 def sensitivity(path_m: Floats, shift: Floats) -> Floats:
@@ -105,15 +117,20 @@ def sensitivity(path_m: Floats, shift: Floats) -> Floats:
 
     Args:
         path_m: optical path difference in metres, `[N]`.
-        shift: of the phase, for R, G and B alike those of X, Y and Z, `[3]`.
+        shift: of the phase, for R, G and B alike those of X, Y and Z, `[3]` or `[N, 3]`.
     """
+    return xyz_sensitivity(path_m, shift) @ XYZ_TO_SRGB.T
+
+
+def xyz_sensitivity(path_m: Floats, shift: Floats) -> Floats:
+    """The same in XYZ."""
     phase = 2 * np.pi * path_m
     xyz = np.zeros((len(path_m), 3))
     for height, centre, variance, which in _GAUSSIANS:
         width = height * np.sqrt(2 * np.pi * variance) / _EQUAL_ENERGY
         damped = width * np.exp(-variance * phase**2)
-        xyz[:, which] += damped * np.cos(centre * phase + shift[which])
-    return xyz @ XYZ_TO_SRGB.T
+        xyz[:, which] += damped * np.cos(centre * phase + shift[..., which])
+    return xyz
 
 
 def _smith(cosine: Floats, square: float) -> Floats:

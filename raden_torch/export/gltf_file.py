@@ -9,26 +9,21 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from threadpoolctl import threadpool_limits
 
 from raden_torch import __version__
-from raden_torch.arrays import Bools, Floats
+from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.errors import check_type
 from raden_torch.export.forms import RuntimeForm, form_of
 from raden_torch.export.gltf_brdf import GltfMaterial
+from raden_torch.export.material_fit import Parameters, matt_colour, nearest
 from raden_torch.export.whole_reflection import highlight_roughness
 from raden_torch.files import check_output, written_beside
 
-_PAIRS = 800
-_HELD_OUT = 4000
 _THICKNESSES_NM = (150.0, 300.0, 450.0, 600.0, 800.0, 1000.0)
 _LOW = np.array([0, 0, 0, 0, 0.05, 1.0, 0, 1.0, 50.0])
 _HIGH = np.array([1, 1, 1, 1, 1.0, 3.0, 1, 3.0, 1500.0])
-_STEPS = 60
 _SLICES, _STACKS = 48, 24
 
 
@@ -90,76 +85,21 @@ def export_gltf(model: RadenBrdf, path: str | os.PathLike[str]) -> GltfReport:
 
 def nearest_material(form: RuntimeForm) -> GltfReport:
     """The material whose f_r cos θi is nearest in the least-squares sense."""
-    cosines, wanted = _geometries(form, _PAIRS, seed=1)
-    weight = cosines[:, :1]
-    scale = np.sqrt(np.mean((wanted * weight) ** 2)) or 1.0
-
-    def residual(x: Floats) -> Floats:
-        return ((_material(x).f_r(*cosines.T) - wanted) * weight / scale).ravel()
-
     roughness = min(max(np.sqrt(highlight_roughness(form)), _LOW[4]), 1.0)
-    colour = np.clip(np.pi * np.median(wanted, axis=0), 0.02, 0.98)
-    spread = np.where(_HIGH > 100, 100.0, 0.3)
-    with threadpool_limits(1):  # the matrices are small
-        tried = [
-            least_squares(
-                residual,
-                np.array([*colour, 0.3, roughness, 1.5, 0.7, 1.5, thickness]),
-                bounds=(_LOW, _HIGH),
-                x_scale=spread,
-                max_nfev=_STEPS,
-            )
-            for thickness in _THICKNESSES_NM
-        ]
-    material = _material(min(tried, key=lambda found: float(found.cost)).x)
-    cosines, wanted = _geometries(form, _HELD_OUT, seed=2)
-    off = (material.f_r(*cosines.T) - wanted) * cosines[:, :1]
-    wanted = wanted * cosines[:, :1]
-    even, near = np.arange(len(off)) < _HELD_OUT // 2, cosines[:, 2] > np.cos(np.deg2rad(20))
-    return GltfReport(material, _share(off, wanted, even), _share(off, wanted, near))
-
-
-def _share(off: Floats, wanted: Floats, where: Bools) -> float:
-    whole = np.sqrt(np.mean(wanted[where] ** 2))
-    return float(np.sqrt(np.mean(off[where] ** 2)) / whole) if whole else 0.0
+    colour = matt_colour(form)
+    starts = [
+        np.array([*colour, 0.3, roughness, 1.5, 0.7, 1.5, thickness])
+        for thickness in _THICKNESSES_NM
+    ]
+    steps = np.where(_HIGH > 100, 100.0, 0.3)
+    found = nearest(form, Parameters(_LOW, _HIGH, steps, _material), starts)
+    return GltfReport(found.material, found.error, found.highlight_error)
 
 
 def _material(x: Floats) -> GltfMaterial:
     red, green, blue, metallic, roughness, ior, iridescence, film_ior, thickness = map(float, x)
     colour = (red, green, blue)
     return GltfMaterial(colour, metallic, roughness, ior, iridescence, film_ior, thickness)
-
-
-def _geometries(form: RuntimeForm, count: int, seed: int) -> tuple[Floats, Floats]:
-    """`[N, 4]` cosines N·L, N·V, N·H, V·H and the model's f_r `[N, 3]`: half of them pairs of
-    directions that are even by projected solid angle, half with the half vector near the normal."""
-    random = np.random.default_rng(seed)
-    light, view = _projected(random, count // 2), _projected(random, count // 2)
-    v = _projected(random, count)
-    h = _around(random, count, np.deg2rad(25))
-    l = 2 * (v * h).sum(1, keepdims=True) * h - v  # noqa: E741
-    seen = np.flatnonzero((l[:, 2] > 0.02) & (v[:, 2] > 0.02))[: count // 2]
-    light, view = np.concatenate([light, l[seen]]), np.concatenate([view, v[seen]])
-    half = light + view
-    half /= np.linalg.norm(half, axis=1, keepdims=True)
-    cosines = np.stack([light[:, 2], view[:, 2], half[:, 2], (view * half).sum(1)], axis=1)
-    maps = [torch.from_numpy(x.T.copy())[None, :, None] for x in (light, view)]
-    normal = maps[0].new_tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand_as(maps[0])
-    with torch.no_grad():
-        f = form.of_unit_vectors(normal, *maps)[0, :, 0].T
-    return np.clip(cosines, 1e-4, 1), f.numpy()
-
-
-def _projected(random: np.random.Generator, count: int) -> Floats:
-    square, azimuth = random.random(count), 2 * np.pi * random.random(count)
-    radius = np.sqrt(square)
-    return np.stack([radius * np.cos(azimuth), radius * np.sin(azimuth), np.sqrt(1 - square)], 1)
-
-
-def _around(random: np.random.Generator, count: int, most: float) -> Floats:
-    angle, azimuth = most * random.random(count), 2 * np.pi * random.random(count)
-    sine = np.sin(angle)
-    return np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.cos(angle)], 1)
 
 
 def _document(report: GltfReport, source: Provenance) -> dict[str, Any]:
