@@ -20,7 +20,7 @@ from raden_torch.export.whole_reflection import highlight_roughness
 from raden_torch.files import check_output, written_beside
 
 _THICKNESSES = (0.15, 0.3, 0.45, 0.6, 0.8, 1.0)
-# at an index of 1 MaterialX's layers still dim what is below, which other programs' do not
+# at an index of 1 MaterialX's layers still dim what is below, against Fresnel's equations
 _LOW = np.array([0, 0, 0, 0, 0.05, 1.2, 0, 0.05, 1.2, 0, 0.05, 1.2])
 _HIGH = np.array([1, 1, 1, 1, 1.0, 3.0, 1, 1.5, 3.0, 1, 1.0, 3.0])
 _STEP = np.array([0.3] * 7 + [0.1] + [0.3] * 4)
