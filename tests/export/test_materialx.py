@@ -12,7 +12,9 @@ import torch
 import raden_torch as rt
 from raden_torch.brdf.materials import microfacet
 from raden_torch.brdf.model.model import Provenance
+from raden_torch.cli.export_commands import export
 from raden_torch.errors import InputError
+from raden_torch.export import material_fit
 from raden_torch.export.gltf_brdf import schlick
 from raden_torch.export.lit_sphere import SphereDifference, sphere_difference
 from raden_torch.export.material_fit import Nearest
@@ -193,20 +195,22 @@ def test_a_material_of_the_format_is_found_again() -> None:
     assert sphere_difference(OfMaterial(film), found.material).most < 1.5  # type: ignore[arg-type]
 
 
-@pytest.mark.slow
-def test_the_command_writes_a_file_that_says_its_error(raden, tmp_path) -> None:
+def test_the_command_writes_a_file_that_says_its_error(monkeypatch, capsys, tmp_path) -> None:
+    """Rationale: a fit that is broken off early says its error all the same."""
+    monkeypatch.setattr(material_fit, "_FIRST_STEPS", 2)
+    monkeypatch.setattr(material_fit, "_STEPS", 4)
     model = rt.fit(rt.simulate_specimen("akoya", step_deg=35)).model
     rt.save_model(model, tmp_path / "shell.safetensors")
-    done = raden("export", tmp_path / "shell.safetensors", "-o", tmp_path / "shell.mtlx")
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("the nearest OpenPBR: off by ")
-    assert "ΔE2000" in done.stdout.splitlines()[0]
+    export(tmp_path / "shell.safetensors", output=tmp_path / "shell.mtlx")
+    said = capsys.readouterr().out
+    assert said.startswith("the nearest OpenPBR: off by ")
+    assert "ΔE2000" in said.splitlines()[0]
     root = ElementTree.parse(tmp_path / "shell.mtlx").getroot()
     material = root.find("surfacematerial")
     assert material is not None
     assert material.get("raden_approximates") == "akoya (simulated)"
-    assert 0.01 < float(material.get("raden_rms_error_over_rms", "")) < 0.8
-    assert 0 < float(material.get("raden_delta_e2000_median", "")) < 15
+    assert 0.01 < float(material.get("raden_rms_error_over_rms", "")) < 1
+    assert 0 < float(material.get("raden_delta_e2000_median", "")) < 30
 
 
 def test_bad_input(tmp_path) -> None:
