@@ -53,8 +53,8 @@ def export(
         Path,
         output(
             "the file to write: .onnx; .glsl or .wgsl, with the table beside it; .html, a viewer; "
-            ".gltf, .osl or .mtlx, the nearest material that these can say; .xml, for Mitsuba 3, with the "
-            "table beside it; or .bsdf, for the material `measured` of Mitsuba and pbrt-v4"
+            ".gltf, .osl or .mtlx, the nearest material that these can say; .xml, for Mitsuba 3, "
+            "with the table beside it; or .bsdf, for the material `measured` of Mitsuba and pbrt-v4"
         ),
     ],
     compare: Annotated[

@@ -80,7 +80,7 @@ def test_an_input_is_never_overwritten(refused: Callable[..., str], words: tuple
     assert "is also an input" in refused(*words)
 
 
-_SHADERS = ".onnx or .glsl or .wgsl or .html or .gltf or .osl or .mtlx"
+_SHADERS = ".onnx or .glsl or .wgsl or .html or .gltf or .osl or .xml or .bsdf or .mtlx"
 
 
 @pytest.mark.parametrize(

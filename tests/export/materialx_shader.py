@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from raden_torch.export.shading_language import FORMAT, FORMAT_VERSION
 from raden_torch.export.shading_language_check import draw_shader
+from raden_torch.export.table_file import FORMAT, FORMAT_VERSION
 from tests.export.browser import MODULES
 
 _CALL = """
@@ -80,9 +80,9 @@ def drawn(texts: list[str], folder: Path, *vectors: np.ndarray) -> np.ndarray:
         source += f"void materialx_{k}()" + body
         calls.append(f"    if (row == {k}) materialx_{k}();")
     (folder / "shell.glsl").write_text(source + _CALL.replace("CALLS", "\n".join(calls)))
-    (folder / "none.bin").write_bytes(bytes(8))
+    (folder / "none.bin").write_bytes(bytes(8 * 4**3))
     about = {"format": FORMAT, "format_version": FORMAT_VERSION, "table": "none.bin"}
-    about |= {"width": 1, "height": 1, "depth": 1}
+    about |= {"width": 4, "height": 4, "depth": 4, "warp": [0.4, 0.4]}
     (folder / "shell.json").write_text(json.dumps(about))
     maps = [
         torch.from_numpy(v.T.copy()).float()[None, :, None].expand(1, 3, len(texts), len(v))
