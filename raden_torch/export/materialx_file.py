@@ -92,8 +92,8 @@ def export_materialx(model: RadenBrdf, path: str | os.PathLike[str]) -> Material
 
 
 def nearest_openpbr(form: RuntimeForm) -> Nearest[OpenPbrMaterial]:
-    """The inputs whose f_r cos θi is nearest: its square roots in the least-squares sense, or the
-    highlight would decide alone, and more would look wrong (docs/renderers.md)."""
+    """The inputs whose f_r cos θi is nearest: its square roots in the least-squares sense, so that
+    the highlight does not decide alone (docs/renderers.md)."""
     roughness = min(max(np.sqrt(highlight_roughness(form)), 0.05), 1.0)
     colour = matt_colour(form)
     starts = [
