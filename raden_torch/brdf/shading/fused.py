@@ -1,8 +1,10 @@
-"""What the fused kernel shades in one pass: one table, or several that an index chooses or weights
-mix. None where the eager form, or another way, has to do it."""
+"""What the fused kernel shades in one pass: one table; several, which an index chooses or weights
+mix; or those of a material that turns with the sample. None where the eager form, or another way,
+has to do it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import cast
 
@@ -10,6 +12,7 @@ import torch
 from torch import Tensor
 
 from raden_torch import geometry
+from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.surface import Reflection, SurfaceReflection
 from raden_torch.brdf.model import kernel
 from raden_torch.brdf.model.model import RadenBrdf
@@ -22,6 +25,8 @@ from raden_torch.brdf.shading.triples import Triple, as_map
 
 Kept = tuple[dict[tuple[int, ...], Tensor], tuple[int, ...]]
 """Where packed lights are kept, and by what key."""
+_MOST_NODES = 1 << 24
+"""Whole numbers that single precision holds."""
 
 
 def in_one_table(model: Reflection, gbuffer: GBuffer) -> RadenBrdf | None:
@@ -90,6 +95,23 @@ def shade_several(
         return None
     _check(cast(Tensor, inputs[0]), cast(Tensor, inputs[-1]))
     return kernel.shade_several(models, choice, inputs)
+
+
+def shade_turned(
+    model: AnisotropicBrdf, gbuffer: GBuffer, lights: Sequence[Light]
+) -> Tensor | None:
+    """The image of a G-buffer with tangents, on the CPU: two of the model's tables a pixel."""
+    tangent = cast(Tensor, gbuffer.tangent)
+    if torch.compiler.is_compiling() or gbuffer.normal.device.type != "cpu":
+        return None
+    if is_recorded(model, gbuffer, *lights) or len(model) * model.layout.nodes > _MOST_NODES:
+        return None
+    inputs = _inputs(gbuffer, lights, None, 0.0)
+    if inputs is None or not kernel.takes_tensors(*inputs, tangent, *model.parameters()):
+        return None
+    _check(cast(Tensor, inputs[0]), cast(Tensor, inputs[-1]))
+    turns = [math.radians(x) for x in model.azimuth_deg], math.radians(model.period_deg)
+    return kernel.shade_turned(model.tables(), model.layout.warp, turns, tangent, inputs)
 
 
 def is_lamp(light: Light) -> bool:

@@ -32,11 +32,11 @@ from raden_torch.brdf.shading.fused import (
     is_lamp,
     shade_one,
     shade_several,
+    shade_turned,
 )
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import DirectionalLight, Light
 from raden_torch.brdf.shading.surroundings import shade_surroundings
-from raden_torch.brdf.shading.turned import shade_turned
 from raden_torch.errors import InputError, check_type
 
 _LAMPS_NAMED = 4

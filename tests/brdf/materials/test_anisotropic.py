@@ -16,7 +16,7 @@ from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf, sample_azimu
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading.eager import shade_eagerly
-from raden_torch.brdf.shading.turned import shade_turned
+from raden_torch.brdf.shading.fused import shade_turned
 from raden_torch.errors import InputError
 from raden_torch.geometry import normalised
 
