@@ -110,7 +110,7 @@ def test_a_lamp_below_the_horizon_is_said(model: rt.RadenBrdf) -> None:
         (lambda m: rt.export_onnx("m.safetensors", "m.onnx"), "model: expected RadenBrdf, got str"),
         (
             lambda m: rt.save_model(None, "m.safetensors"),
-            "model: expected RadenBrdf or Palette, got NoneType",
+            "model: expected RadenBrdf or Palette or SpectralBrdf, got NoneType",
         ),
         (
             lambda m: rt.GBuffer(FLAT, view=(0.0, 0.0, 1.0), mask=np.ones((1, 1, 4, 5))),
