@@ -21,7 +21,7 @@ from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import RadenBrdf, equation_2
 from raden_torch.brdf.model.runtime_table import RuntimeLayout, address_of_angles, read, read_at
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 
 FORMS = ("runtime", "fit")
 CHOICES = ("index", "weights")
@@ -167,6 +167,16 @@ def form_of(model: Reflection, name: str, by: str = "index") -> Form:
     if name == "fit":
         return FitForm(own)
     return RuntimeForm(own.runtime_table().clone(), own.layout)
+
+
+def runtime_form(model: RadenBrdf) -> RuntimeForm:
+    """The runtime form of a model, for what takes nothing else.
+
+    Raises:
+        InputError: it is no `RadenBrdf`.
+    """
+    check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
+    return cast(RuntimeForm, form_of(model, "runtime"))
 
 
 def _in_one_table(material: Reflection, where: str) -> RuntimeForm:

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from raden_torch import __version__
 from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
-from raden_torch.errors import check_type
-from raden_torch.export.forms import RuntimeForm, form_of
+from raden_torch.export.forms import RuntimeForm, runtime_form
 from raden_torch.export.gltf_brdf import GltfMaterial
 from raden_torch.export.material_fit import Parameters, matt_colour, nearest
 from raden_torch.export.whole_reflection import highlight_roughness
@@ -72,10 +71,8 @@ def export_gltf(model: RadenBrdf, path: str | os.PathLike[str]) -> GltfReport:
         >>> 0 < report.error < 1
         True
     """
-    check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
+    form = runtime_form(model)
     target = check_output(path, (".gltf",))
-    form = form_of(model, "runtime")
-    assert isinstance(form, RuntimeForm)
     report = nearest_material(form)
     text = json.dumps(_document(report, model.provenance), indent=1)
     with written_beside(target) as temporary:

@@ -11,8 +11,7 @@ import numpy as np
 from raden_torch import __version__
 from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
-from raden_torch.errors import check_type
-from raden_torch.export.forms import RuntimeForm, form_of
+from raden_torch.export.forms import RuntimeForm, runtime_form
 from raden_torch.export.lit_sphere import SphereDifference, sphere_difference
 from raden_torch.export.material_fit import Nearest, Parameters, matt_colour, nearest
 from raden_torch.export.openpbr_brdf import OpenPbrMaterial
@@ -79,10 +78,8 @@ def export_materialx(model: RadenBrdf, path: str | os.PathLike[str]) -> Material
         >>> 0 < report.fit.error < 1
         True
     """
-    check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
+    form = runtime_form(model)
     target = check_output(path, (".mtlx",))
-    form = form_of(model, "runtime")
-    assert isinstance(form, RuntimeForm)
     fit = nearest_openpbr(form)
     report = MaterialXReport(fit, sphere_difference(form, fit.material))
     document = materialx_document(report, model.provenance)

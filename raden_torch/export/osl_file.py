@@ -6,14 +6,14 @@ latter with α along two axes). In Cycles `microfacet` has no Fresnel term where
 
 from __future__ import annotations
 
+import math
 import os
 from dataclasses import dataclass
 
 from raden_torch import __version__
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
-from raden_torch.errors import check_type
 from raden_torch.export.closure_fit import LAST_DEG, VIEWS, ClosureFit, Lobe, fit_closures
-from raden_torch.export.forms import RuntimeForm, form_of
+from raden_torch.export.forms import runtime_form
 from raden_torch.files import check_output, written_beside
 
 _SHADER = """\
@@ -33,12 +33,13 @@ shader raden_shell(
 {weights}
     }};
     vector view = dot(I, Normal) < 0 ? -I : I;
-    float place = min(acos(clamp(dot(view, Normal), 0, 1)) / {last_radians:.9g}, 1) * {spans};
+    // x towards the viewer along the surface
+    float cosine = dot(view, Normal);
+    vector x = view - cosine * Normal;
+    float place = min(atan2(length(x), cosine) / {last_radians:.9g}, 1) * {spans};
     int first = min((int)place, {spans} - 1);
     float share = place - first;
 
-    // x towards the viewer along the surface
-    vector x = view - dot(view, Normal) * Normal;
     vector other = fabs(Normal[0]) < 0.7 ? vector(1, 0, 0) : vector(0, 1, 0);
     x = normalize(dot(x, x) > 1e-8 ? x : cross(other, Normal));
     vector y = cross(Normal, x);
@@ -87,10 +88,8 @@ def export_osl(model: RadenBrdf, path: str | os.PathLike[str]) -> OslReport:
         >>> 0 < report.fit.error < 0.5
         True
     """
-    check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
+    form = runtime_form(model)
     target = check_output(path, (".osl",))
-    form = form_of(model, "runtime")
-    assert isinstance(form, RuntimeForm)
     fit = fit_closures(form)
     with written_beside(target) as temporary:
         temporary.write_text(shader_text(fit, model.provenance), "utf-8")
@@ -111,7 +110,7 @@ def shader_text(fit: ClosureFit, source: Provenance) -> str:
         source=f"Measurement {source.measurement_sha256[:12] or 'unknown'}.",
         views=VIEWS,
         last=LAST_DEG,
-        last_radians=LAST_DEG * 3.141592653589793 / 180,
+        last_radians=math.radians(LAST_DEG),
         spans=VIEWS - 1,
         size=fit.weights.size,
         weights=",\n".join(rows),

@@ -15,8 +15,8 @@ import numpy as np
 
 from raden_torch import __version__
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
-from raden_torch.errors import InputError, check_type
-from raden_torch.export.forms import RuntimeForm, form_of
+from raden_torch.errors import InputError
+from raden_torch.export.forms import RuntimeForm, runtime_form
 from raden_torch.export.table_file import texels_of, write_table
 from raden_torch.files import check_outputs, written_beside
 
@@ -115,13 +115,11 @@ def export_shader(model: RadenBrdf, path: str | os.PathLike[str]) -> ShaderRepor
         >>> [file.name for file in report.files], report.half_precision < 5e-4
         (['shell.glsl', 'shell.bin', 'shell.json'], True)
     """
-    check_type("model", model, RadenBrdf, "load_model reads one from a file; fit(…).model is one")
+    form = runtime_form(model)
     text, table, about = (Path(path).with_suffix(s) for s in (Path(path).suffix, ".bin", ".json"))
     check_outputs(text, table, about)
     if text.suffix not in LANGUAGES:
         raise InputError(f"{text}: suffix: expected {' or '.join(LANGUAGES)}, got {text.suffix!r}")
-    form = form_of(model, "runtime")
-    assert isinstance(form, RuntimeForm)
     source = shader_source(form, model.provenance, text.suffix, table.name)
     size, change = write_table(form, model.provenance, table, about)
     with written_beside(text) as temporary:

@@ -13,7 +13,7 @@ from typing import Any
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.errors import InputError, check_type
-from raden_torch.export.forms import RuntimeForm, form_of
+from raden_torch.export.forms import RuntimeForm, runtime_form
 from raden_torch.export.shading_language import shader_source
 from raden_torch.export.table_file import half_precision_texture
 from raden_torch.files import check_output, written_beside
@@ -94,11 +94,10 @@ def _page(shells: list[RadenBrdf]) -> str:
     functions: list[str] = []
     for place, shell in enumerate(shells):
         source = shell.provenance
-        parts = {"all": form_of(shell, "runtime"), "diffuse": form_of(_diffuse(shell), "runtime")}
+        parts = {"all": runtime_form(shell), "diffuse": runtime_form(_diffuse(shell))}
         name = source.sample or "unnamed sample"
         about: dict[str, Any] = {"sample": name, "simulated": source.simulated}
         for part, form in parts.items():
-            assert isinstance(form, RuntimeForm)
             about[part] = _table(form)
             text = shader_source(form, source, ".glsl", "the page")
             function = text[text.index("uniform") :]
