@@ -130,23 +130,4 @@ void look_up_mirror(ShadedTile<V>& tile) {
     tile.spread();
 }
 
-template <class V>
-void shade_tiles(const Scene& scene, long first_tile, long last_tile) {
-    const long across = tiles_per_row(scene);
-    for (long i = first_tile; i < last_tile; ++i) {
-        const long line = i / across;
-        ShadedTile<V> tile(scene, line / scene.rows, line % scene.rows, i % across * tile_pixels);
-        tile.select_pixels();
-        if (scene.mirror.values)
-            look_up_mirror(tile);
-        else if (scene.sphere.values)
-            tile.look_up();
-        else if (scene.lit)
-            tile.shade();
-        else
-            tile.reflect();
-    }
-    V::fence();
-}
-
 }  // namespace raden

@@ -15,7 +15,6 @@
 
 #include "pool.h"
 #include "scene.h"
-#include "turned.h"
 
 namespace nb = nanobind;
 using raden::Map;
@@ -62,14 +61,6 @@ raden::ShadeTiles tiles_of(const std::string& level) {
     return raden::shade_tiles_portable;
 }
 
-raden::ShadeTurnedTiles turned_tiles_of(const std::string& level) {
-#ifdef RADEN_X86
-    if (level == "avx512") return raden::shade_turned_tiles_avx512;
-    if (level == "avx2") return raden::shade_turned_tiles_avx2;
-#endif
-    return raden::shade_turned_tiles_portable;
-}
-
 std::vector<std::string> levels() {
     std::vector<std::string> found{"portable"};
 #ifdef RADEN_X86
@@ -86,7 +77,8 @@ std::vector<std::string> levels() {
 // Rows that follow each other without a gap in every map are one long row, and so is one column.
 void join_rows(Scene& s, Map& further) {
     std::vector<raden::Strides*> maps;
-    for (Map* m : {&s.normal, &s.layers, &s.light, &s.view, &s.position, &s.mask, &s.weights, &further})
+    for (Map* m : {&s.normal, &s.layers, &s.light, &s.view, &s.position, &s.mask, &s.weights,
+                   &s.turned.tangent, &further})
         if (m->data) maps.push_back(m);
     if (s.index.data) maps.push_back(&s.index);
     if (s.columns == 1)
@@ -145,15 +137,6 @@ std::vector<float> inverse_gaps(const std::vector<float>& azimuths, float period
         found.push_back(1 / ((last ? azimuths[0] + period : azimuths[k + 1]) - azimuths[k]));
     }
     return found;
-}
-
-void run_turned(Scene& scene, raden::Turned& turned, const std::string& level, int threads) {
-    join_rows(scene, turned.tangent);
-    scene.stream = scene.batch * scene.rows * scene.columns > caches;
-    const auto tiles = turned_tiles_of(level);
-    const long count = raden::tile_count(scene);
-    raden::share_out(count, piece, static_cast<int>(std::min<long>(threads, count / (4 * piece))),
-                     [&](long first, long last) { tiles(scene, turned, first, last); });
 }
 
 // Slice k of the tiles adds to sums[k]: the same bits whichever thread takes it.
@@ -311,7 +294,7 @@ NB_MODULE(_kernel, m) {
             s.lit = true;
             s.light_count = light_count;
             s.image = reinterpret_cast<float*>(image);
-            raden::Turned turned;
+            raden::Turned& turned = s.turned;
             turned.tangent = as_map(tangent);
             turned.azimuths = azimuths.data();
             turned.count = static_cast<int>(azimuths.size());
@@ -322,7 +305,7 @@ NB_MODULE(_kernel, m) {
             turned.even = *least - *most < 1e-5f * *most ? *most : 0.0f;
             turned.nodes = static_cast<float>(table[1] * table[2] * table[3]);
             nb::gil_scoped_release released;
-            run_turned(s, turned, level, threads);
+            run(s, level, threads);
         },
         nb::arg("table"), nb::arg("warp"), nb::arg("azimuths"), nb::arg("period"),
         nb::arg("tangent"), nb::arg("normal"), nb::arg("layers").none(), nb::arg("view").none(),

@@ -67,6 +67,18 @@ struct MirrorTable {
     float rim = 0;                            // N·V below which R is turned with V
 };
 
+// A table for each azimuth of the sample (materials/anisotropic.py), one after the other; all have the
+// layout of `Scene::table`, which is the first.
+struct Turned {
+    Map tangent;
+    const float* azimuths = nullptr;  // rising, 0 … period, in radians
+    const float* inverse = nullptr;   // 1 over the angle from each to the next
+    float even = 0.0f;                // it, where all are the same, else 0
+    int count = 0;
+    float period = 0.0f;
+    float nodes = 0.0f;  // of one table
+};
+
 struct Scene {
     long batch = 0, rows = 0, columns = 0;
     Map normal, light, view, position, mask;  // without data where the scene has none
@@ -75,6 +87,7 @@ struct Scene {
     bool lit = false;                         // by lights; else f_r itself, with `light` as a map
     LitSphere sphere;                         // instead of lights, where it has values
     MirrorTable mirror;                       // the same
+    Turned turned;                            // where there is a tangent
     const Light* lights = nullptr;            // [lights, batch]
     int light_count = 0;
     bool bounded = false;  // by the tiles' positions: some light has an end

@@ -93,6 +93,14 @@ struct ShadedTile : Tile<V> {
 
     // Where the pixels that a light reaches lie in their tables.
     void place_light(const Light& light) {
+        place_light(light, [&](int g, unsigned lanes, const Geometry<V>& at, const V& strength) {
+            reader.place(g, lanes, at, strength);
+        });
+    }
+
+    // The same by `put`, which places one vector of pixels.
+    template <class Put>
+    void place_light(const Light& light, const Put& put) {
         const float *positions[3], *normals[3] = {n[0], n[1], n[2]}, *views[3] = {v[0], v[1], v[2]};
         const float* layers[3] = {layer[0], layer[1], layer[2]};
         if (light.kind != directional) planes_of(scene.position, 3, positions);
@@ -117,7 +125,7 @@ struct ShadedTile : Tile<V> {
             const unsigned lanes = bits(above) & seen[g];
             if (lanes == 0) continue;
             at.view = load(views, i);
-            reader.place(g, lanes, at, select(above, strength, 0.0f));
+            put(g, lanes, at, select(above, strength, 0.0f));
         }
     }
 
@@ -126,6 +134,11 @@ struct ShadedTile : Tile<V> {
         if (scene.weights.data) return add_mixture(light);
         place_light(light);
         reader.read();
+        add_read(light);
+    }
+
+    // What was read of the pixels that a light reaches.
+    void add_read(const Light& light) {
         for (int g = 0; g < groups; ++g) {
             if (reader.lit[g] == 0) continue;
             V out[3];
@@ -211,6 +224,10 @@ struct ShadedTile : Tile<V> {
             omissions.bound(positions, count);
         }
         for (int k = 0; k < scene.light_count; ++k) add_light(scene.lights[k * scene.batch + image]);
+        put_sum();
+    }
+
+    void put_sum() {
         for (int g = 0; g < groups; ++g) {
             V out[3];
             for (int c = 0; c < 3; ++c) out[c] = V::load(sum[c] + g * V::lanes);

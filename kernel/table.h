@@ -62,15 +62,16 @@ struct TableReader {
         for (int j = 0; j < 2; ++j) own.count[j] = load(3 + j), own.warp[j] = load(5 + j);
         place_by(own, g, lanes, at, strength);
         if (!tables->large) return;
-        for (int k = g * V::lanes; k < (g + 1) * V::lanes; ++k) ask_around(tables[tile.table_of[k]], k);
+        for (int k = g * V::lanes; k < (g + 1) * V::lanes; ++k) ask_around(tables[tile.table_of[k]], cells.first[k]);
     }
 
+    // The first node of each pixel, too.
     template <class Layout>
-    void place_by(const Layout& table, int g, unsigned lanes, const Geometry<V>& at,
-                  const V& strength) {
+    V place_by(const Layout& table, int g, unsigned lanes, const Geometry<V>& at, const V& strength) {
         const int i = g * V::lanes;
         const Place<V> place(table, {table, at.normal, at.light, at.view, at.cos_i, at.cos_r, lanes});
-        place.first(table).store_int(cells.first + i);
+        const V first = place.first(table);
+        first.store_int(cells.first + i);
         const V high = strength * place.fraction[0], low = strength - high;
         const V right = place.fraction[1], left = V(1.0f) - right;
         (low * left).store(cells.weight[0] + i);
@@ -79,16 +80,17 @@ struct TableReader {
         (high * right).store(cells.weight[3] + i);
         (V(1.0f) - place.fraction[2]).store(cells.near + i);
         place.fraction[2].store(cells.far + i);
+        return first;
     }
 
     // A large table lies in far caches: ask for its lines before they are needed.
     void prefetch(int g) const {
         const Table table = *one[g];
-        for (int k = g * V::lanes; k < (g + 1) * V::lanes; ++k) ask_around(table, k);
+        for (int k = g * V::lanes; k < (g + 1) * V::lanes; ++k) ask_around(table, cells.first[k]);
     }
 
-    void ask_around(const Table& table, int k) const {
-        const float* p = table.values + 3L * cells.first[k];
+    static void ask_around(const Table& table, int first) {
+        const float* p = table.values + 3L * first;
         ask_for(p);
         ask_for(p + table.row);
         ask_for(p + table.slab);
@@ -102,26 +104,25 @@ struct TableReader {
 
     void read(int g, unsigned lanes) {
         if (lanes == 0) return;
+        const V any = 0.0f;
         if (one[g]) {
             const Table table = *one[g];
-            fetch_lanes(g, lanes, [&](int) -> const Table& { return table; });
+            each_lane(g, lanes, [&](int k) { fetch(any, cells, k, table, rgb + 4 * k); });
         } else {
-            fetch_lanes(g, lanes, [&](int k) -> const Table& { return tables[tile.table_of[k]]; });
+            each_lane(g, lanes, [&](int k) {
+                fetch(any, cells, k, tables[tile.table_of[k]], rgb + 4 * k);
+            });
         }
     }
 
     // Where most lanes read, reading all is cheaper than asking.
-    template <class TableOf>
-    void fetch_lanes(int g, unsigned lanes, const TableOf& table_of) {
-        const V any = 0.0f;
+    template <class Read>
+    static void each_lane(int g, unsigned lanes, const Read& read_one) {
         const int i = g * V::lanes;
         if (count_of(lanes) > V::lanes / 2)
-            for (int k = i; k < i + V::lanes; ++k) fetch(any, cells, k, table_of(k), rgb + 4 * k);
+            for (int k = i; k < i + V::lanes; ++k) read_one(k);
         else
-            for (unsigned left = lanes; left != 0; left &= left - 1) {
-                const int k = i + lowest(left);
-                fetch(any, cells, k, table_of(k), rgb + 4 * k);
-            }
+            for (unsigned left = lanes; left != 0; left &= left - 1) read_one(i + lowest(left));
     }
 
     // The three channels of one vector of pixels; 0 in other lanes.

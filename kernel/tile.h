@@ -8,10 +8,12 @@
 namespace raden {
 
 #if defined(__GNUC__)
+#define RADEN_INLINE __attribute__((always_inline)) inline
 static inline int count_of(unsigned bits) { return __builtin_popcount(bits); }
 static inline int lowest(unsigned bits) { return __builtin_ctz(bits); }
 static inline void ask_for(const float* p) { __builtin_prefetch(p); }
 #else
+#define RADEN_INLINE inline
 static inline int count_of(unsigned bits) {
     int n = 0;
     for (; bits != 0; bits &= bits - 1) ++n;

@@ -1,8 +1,7 @@
 #include "vector_portable.h"
 
 #include "gradient.h"
-#include "mirror.h"
-#include "turned.h"
+#include "shade_tiles.h"
 
 void raden::shade_tiles_portable(const Scene& scene, long first_tile, long last_tile) {
     shade_tiles<Portable>(scene, first_tile, last_tile);
@@ -10,9 +9,4 @@ void raden::shade_tiles_portable(const Scene& scene, long first_tile, long last_
 
 void raden::differentiate_tiles_portable(const Scene& scene, const Gradient& wanted, const Slice& slice) {
     differentiate_tiles<Portable>(scene, wanted, slice);
-}
-
-void raden::shade_turned_tiles_portable(const Scene& scene, const Turned& turned, long first_tile,
-                                      long last_tile) {
-    shade_turned_tiles<Portable>(scene, turned, first_tile, last_tile);
 }
