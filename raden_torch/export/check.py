@@ -125,7 +125,8 @@ class StressSet:
             try:
                 output = runtime.run({k: v.contiguous().numpy() for k, v in case.inputs.items()})
             except Exception as error:  # whatever a foreign runtime raises is its reason
-                if runtime.takes_all:
+                # ONNX Runtime 1.18 refuses some products where there are no pixels or lights
+                if runtime.takes_all and all(t.numel() for t in case.inputs.values()):
                     raise
                 left_out.append(f"{case.name} ({one_line(error)})")
                 continue

@@ -42,7 +42,8 @@ class Expected:
 
     Attributes:
         values: `[S, B, 3, H, W]`; more than one where a rounding decides on which side of a seam a
-            pixel lies (the horizon; in the fit form a = 0, where the signs flip): any is right.
+            pixel lies (the horizon; in the fit form a = 0, where the signs flip), and 0 where a
+            vector is longer or shorter than the file takes: any is right.
         region: `[B, 1, H, W]`, an index into `REGIONS`.
         sine: `[B, 1, H, W]`, |L × V|, of the light for which it is smallest.
         slope: `[B, 1, H, W]`, how much the value changes in one radian of the angles.
@@ -92,6 +93,8 @@ def _gbuffer(form: Chosen, output: str, inputs: dict[str, Tensor]) -> Expected:
         [(m == u).all(1, keepdim=True).expand_as(a) for m, u in zip(maps, (n, l, v), strict=True)]
     ).all(0)
     groups = [sides, _nudged(form, a, r, t), _rounded(form, n, l, v, unit)]
+    extreme = torch.stack([_is_extreme(m).expand_as(a) for m in maps]).any(0)
+    sides.append(torch.where(extreme, torch.zeros_like(f), f))
     values = torch.stack([f for group in groups for f in group])
     if output == "radiance":
         irradiance = inputs.get("irradiance", torch.full((1, 3, 1, 1), torch.pi))
@@ -138,7 +141,8 @@ def _scene(form: Chosen, inputs: dict[str, Tensor]) -> Expected:
         sine = torch.minimum(sine, _sine(direction, geometry.normalised(view)))
     region = _regions(sine, valid, torch.zeros_like(valid))
     nothing = torch.zeros_like(sine)
-    return Expected(_masked(image[None], inputs), region, sine, nothing, nothing)
+    sides = torch.stack([image, torch.where(_is_extreme(view), torch.zeros_like(image), image)])
+    return Expected(_masked(sides, inputs), region, sine, nothing, nothing)
 
 
 def lights_of(light: Tensor, colour: Tensor) -> list[Light]:
@@ -181,3 +185,9 @@ def _sine(l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
 
 def _is_vector(m: Tensor) -> Tensor:
     return (geometry.normalised(m) != 0).any(geometry.XYZ_DIM, keepdim=True)
+
+
+def _is_extreme(m: Tensor) -> Tensor:
+    """Whether a vector's length is beyond what `docs/export.md` promises."""
+    largest = m.abs().amax(geometry.XYZ_DIM, keepdim=True)
+    return (largest < 1e-18) | (largest > 1e18)

@@ -41,7 +41,7 @@ OPSET, IR_VERSION = 18, 8
 
 _VECTORS = (
     "maps are [batch, 3, height, width], x, y, z in dimension 1, all in one right-handed frame; "
-    "directions point away from the surface and may have any length"
+    "directions point away from the surface and may have a length of 1e-18 to 1e18"
 )
 _ANGLES = (
     "with p = LxV/|LxV| and N' = N - (N.p)p: incidence a = angle(N', L) >= 0; receiving r = signed "

@@ -81,11 +81,8 @@ class PaletteGraph(nn.Module):
         i, j, l = x.floor(), y.floor(), z.floor()  # noqa: E741
         node = torch.minimum(base + ((i * nv + j) * nw + l), last)
         first = node.squeeze(XYZ_DIM).to(torch.int32).clamp(0, self.last)  # whatever NaN becomes
-        row = (nv * nw).squeeze(XYZ_DIM)
-        second = (node.squeeze(XYZ_DIM) + row).to(torch.int32).clamp(0, self.last)
         rows = torch.cat([packed(member.table) for member in self.form.each])
-        near, far = (rows[at].movedim(-1, XYZ_DIM) for at in (first, second))
-        return interpolated(near, far, (x - i, y - j, z - l)), cosine, shows
+        return interpolated(rows[first], (x - i, y - j, z - l)), cosine, shows
 
 
 def _numbers(member: RuntimeForm, start: int, end: int) -> Tensor:
@@ -96,6 +93,6 @@ def _numbers(member: RuntimeForm, start: int, end: int) -> Tensor:
     return torch.tensor(
         [
             *(c, k, nu - 1, (nv - 1) / 2, 0.5 * (nv % 2 == 0), (nw - 1) / 2, 0.5 * (nw % 2 == 0)),
-            *(nv, nw, start + middle, end - 1 - nv * nw),
+            *(nv, nw, start + middle, end - 1),
         ]
     )

@@ -3,10 +3,12 @@
 There each operator is a pass over memory. What is cheap is arithmetic on maps of one size; a sum
 over x, y, z as one operator costs five times as much, a choice for each channel three times. So x,
 y, z are planes of their own, all choices are made once a pixel, what is invalid is NaN until the
-end, and two gathers bring all eight neighbours in the table.
+end, and one gather brings all eight neighbours in the table.
 
 The formulas are those of `brdf.model.runtime_table`, which every export is checked against. All but
-the cosine are homogeneous in N, so only L and V are made unit vectors.
+the cosine are homogeneous in N, so only L and V are made unit vectors, and N as long as makes
+N·(L + V) = 4. Then N·L = (4 − N·d)/2 and N·V = (4 + N·d)/2; n = N − (L + V) is across L + V where L
+and V almost agree; and |N|² = n·n + d·d + 4.
 """
 
 from __future__ import annotations
@@ -26,19 +28,13 @@ _COEFFICIENTS = torch.tensor(
 """Of y z, y, z and 1 (columns), by the corners (1, 1), (1, 0), (0, 1) and (0, 0) of a cell."""
 
 
-def scaled(vectors: Tensor) -> tuple[Tensor, Tensor]:
-    """`[..., 3, H, W]` over its largest component, which keeps squares in range; and that."""
-    x, y, z = xyz(vectors.abs())
-    largest = torch.maximum(torch.maximum(x, y), z)
-    return vectors / largest, largest
-
-
 def unit(vectors: Tensor) -> Tensor:
-    """`geometry.normalised` of `[..., 3, H, W]`; NaN where a vector is zero or not finite."""
-    v, largest = scaled(vectors)
-    found = length(v) * largest
-    is_unit = found.clamp(1 - 7.5 * _EPS, 1 + 7.5 * _EPS) == found
-    return vectors / torch.where(is_unit, torch.ones(()), found)
+    """`geometry.normalised` of `[..., 3, H, W]` of a length of 1e-18 to 1e18; NaN of any other."""
+    square = dot(vectors, vectors)
+    length = torch.sqrt(square)
+    is_unit = length.clamp(1 - 7.5 * _EPS, 1 + 7.5 * _EPS) == length
+    # not over the length: where the square overflows or vanishes, this is ∞/∞ or 0/0
+    return vectors * torch.where(is_unit, torch.ones(()), length / square)
 
 
 def xyz(vectors: Tensor) -> tuple[Tensor, ...]:
@@ -51,11 +47,6 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     """a·b, `[..., 1, H, W]`."""
     x, y, z = xyz(a * b)
     return x + y + z
-
-
-def length(v: Tensor) -> Tensor:
-    """|v|, `[..., 1, H, W]`."""
-    return torch.sqrt(dot(v, v))
 
 
 def yzx(vectors: Tensor) -> Tensor:
@@ -75,7 +66,7 @@ def _components(vectors: Tensor, order: list[int]) -> Tensor:
 
 
 class RuntimeGraph(nn.Module):
-    """A `RuntimeForm` of vectors of any length."""
+    """A `RuntimeForm` of vectors of a length of 1e-18 to 1e18."""
 
     def __init__(self, form: RuntimeForm) -> None:
         super().__init__()
@@ -101,46 +92,41 @@ def address_parts(
     Args:
         c, k: the warp, one for all or a map.
     """
-    (n, _), l, v = scaled(normal), unit(light), unit(view)  # noqa: E741
-    d, p_zxy = v - l, n * yzx(l) - yzx(n) * l  # p = N × L
-    n_l, n_v, square = dot(n, l), dot(n, v), dot(d, d)
-    least, quarter = torch.minimum(n_l, n_v), (n_l + n_v) * 0.25
+    l, v = unit(light), unit(view)  # noqa: E741
+    d, both = v - l, l + v
+    square = dot(d, d)
+    # N of such a length that N·(L + V) = 4; what faces away becomes infinite or NaN
+    n = normal / (torch.relu(dot(normal, both)) * 0.25)
     # what d has along L + V is rounding: N without its part along L + V does not see it
-    across_n = n - (l + v) * quarter
-    # L ∥ V: the plane of L and N is taken, and `across_n` for d, which need not be short in it
-    parallel = square <= (4 * _EPS) ** 2
-    y, z = dot(across_n, torch.where(parallel, across_n, d)), dot(p_zxy, zxy(d))
-    span = torch.sqrt(torch.where(parallel, y.clamp(min=_LEAST_SQUARE), square))
+    across_n = n - both
+    y, sine_square = dot(across_n, d), dot(across_n, across_n)
+    z = dot(zxy(n), l * yzx(d) - yzx(l) * d)  # N·(L × V), the product in the order z, x, y
+    twice_n_l, twice_n_v = 4 - y, 4 + y
+    # L ∥ V: the plane of L and N is taken, and `across_n` for d, which is a rounding there
+    parallel = torch.where(
+        square <= (4 * _EPS) ** 2, sine_square.clamp(min=_LEAST_SQUARE), torch.zeros(())
+    )
+    span, y = torch.sqrt(square + parallel), y + parallel
     u = torch.sqrt(square) / (2 + torch.sqrt(torch.relu(4 - square)))
-    shows = span * least  # not the lesser alone: some runtimes lose NaN there
-    across = y / (y.abs() + shows * c)
-    along = z / (z.abs() + span * quarter * (2 * k))
-    return u, across, along, n_l / length(n), shows
+    # not the lesser alone: some runtimes lose NaN there
+    shows = torch.minimum(twice_n_l, twice_n_v) * span
+    across = y / (y.abs() + shows * (0.5 * c))
+    along = z / (z.abs() + span * (2 * k))
+    twice_length = torch.sqrt(4 + (sine_square + square)) * 2
+    return u, across, along, twice_n_l / twice_length, shows
 
 
 def read(table: Tensor, u: Tensor, v: Tensor, w: Tensor) -> Tensor:
-    """`runtime_table.read_at`, in two gathers: four neighbours each, as a polynomial in v and w."""
+    """`runtime_table.read_at`, in one gather: eight neighbours as a polynomial in u, v and w."""
     nu, nv, nw, _ = table.shape
-    middle_v, middle_w = (nv - 1) // 2, (nw - 1) // 2
+    rows = packed(table)
     x, y, z = u * (nu - 1), _from_middle(v, nv), _from_middle(w, nw)
     i, j, k = x.floor(), y.floor(), z.floor()
-    rows = packed(table)
+    middle = (nv - 1) // 2 * nw + (nw - 1) // 2
     # nothing that `trace` joins: OpenCV corrupts memory in a `Sum` of maps of several sizes
-    node = (middle_v * nw + middle_w) + ((i * nv + j) * nw + k)
-    last = len(rows) - 1 - nv * nw
-    first = node.squeeze(XYZ_DIM).to(torch.int32).clamp(0, last)  # whatever NaN becomes
-    near, far = (rows[at].movedim(-1, XYZ_DIM) for at in (first, first + nv * nw))
-    return interpolated(near, far, (x - i, y - j, z - k))
-
-
-def interpolated(near: Tensor, far: Tensor, place: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-    """f of two packed rows `[..., 12, H, W]` at a place in the cell, along u, v and w."""
-    x, *others = place
-    f = near + x * (far - near)
-    for along, size in zip(others, (2, 1), strict=True):
-        slope, start = f.split(size * 3, XYZ_DIM)
-        f = along * slope + start
-    return f
+    node = middle + ((i * nv + j) * nw + k)
+    first = node.squeeze(XYZ_DIM).to(torch.int32).clamp(0, len(rows) - 1)  # whatever NaN becomes
+    return interpolated(rows[first], (x - i, y - j, z - k))
 
 
 def _from_middle(address: Tensor, count: int) -> Tensor:
@@ -149,13 +135,26 @@ def _from_middle(address: Tensor, count: int) -> Tensor:
     return position if count % 2 else position + 0.5
 
 
+def interpolated(rows: Tensor, place: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+    """f `[..., C, H, W]` of packed rows `[..., H, W, C, 8]` at a place in the cell."""
+    x, y, z = place
+    of_yz = torch.cat([y * z, y, z, y.clamp(1, 1)], XYZ_DIM)
+    monomials = torch.cat([of_yz, x * of_yz], XYZ_DIM)
+    terms = rows.movedim(-3, -1) * monomials.transpose(-3, -2).unsqueeze(-3)
+    return (torch.ones(1, 8) @ terms).squeeze(-2).transpose(-3, -2)
+
+
 def packed(table: Tensor) -> Tensor:
-    """`[U, V, W, C]` → `[nodes, 4 C]`: at each node the coefficients of y z, y, z and 1.
+    """`[U, V, W, C]` → `[nodes, C, 8]`: at each node the coefficients of y z, y, z and 1, and of x
+    times these.
 
     A runtime does this at every call, or once where the table is a constant.
     """
-    nw, channels = table.shape[2:]
+    nv, nw, channels = table.shape[1:]
     nodes = table.reshape(-1, channels)
-    count = len(nodes) - nw - 1
+    count, slab = len(nodes) - nw - 1, nv * nw
     square = torch.cat([nodes[i : i + count] for i in (nw + 1, nw, 1, 0)], 1)
-    return square @ _COEFFICIENTS.kron(torch.eye(channels))
+    cube = torch.cat([square[slab:], square[:-slab]], 1)
+    of_x = torch.tensor([[0.0, 1.0], [1.0, -1.0]])
+    each = of_x.kron(_COEFFICIENTS)[:, None, None] * torch.eye(channels)[:, :, None]
+    return (cube @ each.reshape(8 * channels, -1)).reshape(-1, channels, 8)

@@ -31,7 +31,8 @@ class Runtime:
     Attributes:
         name, version: of the program.
         run: named inputs → the one output; raises what the program raises.
-        takes_all: it takes empty pictures and values for optional inputs, and must run every case.
+        takes_all: it takes values for optional inputs, and must run every case that has pixels and
+            lights.
         timed: the same, and the milliseconds of each of several runs; where None, `run` is timed.
     """
 

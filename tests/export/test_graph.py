@@ -59,7 +59,7 @@ def test_all_is_gathered_with_int32(graph: onnx.ModelProto) -> None:
     types = {v.name: v.type.tensor_type.elem_type for v in inferred.value_info}
     types |= {constant.name: constant.data_type for constant in inferred.initializer}
     gathers = [node for node in graph.graph.node if node.op_type == "Gather"]
-    assert len(gathers) == 5  # two of the table, three of components
+    assert len(gathers) == 4  # one of the table, three of components
     assert {types[node.input[1]] for node in gathers} == {onnx.TensorProto.INT32}
 
 
