@@ -83,3 +83,23 @@ def between(source: Sequence[float], target: Sequence[float]) -> Floats:
     """
     adapted = bradford(xyz_of_white(source[6:]), xyz_of_white(target[6:]))
     return np.asarray(np.linalg.solve(primary_matrix(target), adapted @ primary_matrix(source)))
+
+
+def lab_of(xyz: Floats, white: Floats) -> Floats:
+    """XYZ `[..., 3]` → CIELAB `[..., 3]`: L*, a*, b* (CIE 15:2018, 8.2.1).
+
+    Args:
+        white: XYZ `(3,)` of the white, on the same scale; its L* is 100.
+    """
+    ratio = np.asarray(xyz) / white
+    linear = (841 / 108) * ratio + 4 / 29
+    x, y, z = np.moveaxis(np.where(ratio > (6 / 29) ** 3, np.cbrt(ratio), linear), -1, 0)
+    return np.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], axis=-1)
+
+
+def xyz_of(lab: Floats, white: Floats) -> Floats:
+    """The inverse of `lab_of`."""
+    lightness, a, b = np.moveaxis(np.asarray(lab, float), -1, 0)
+    y = (lightness + 16) / 116
+    root = np.stack([y + a / 500, y, y - b / 200], axis=-1)
+    return np.asarray(white * np.where(root > 6 / 29, root**3, (root - 4 / 29) * (108 / 841)))

@@ -131,6 +131,30 @@ def written_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
             temporary.unlink()
 
 
+def write_durably(path: str | os.PathLike[str], data: bytes) -> None:
+    """Write a whole file by `written_beside`; when this returns, a power cut cannot undo it.
+
+    Raises:
+        InputError, OSError: as of `written_beside`.
+    """
+    with written_beside(path) as temporary, temporary.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    sync_folder(_behind_links(Path(path)).parent)
+
+
+def sync_folder(folder: Path) -> None:
+    """Put a folder's list of names on the disk."""
+    if os.name != "posix":  # Windows opens no folders
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def _behind_links(path: Path) -> Path:
     """The path of the file itself, there or not."""
     real = Path(os.path.realpath(path))

@@ -24,6 +24,7 @@ EXTRAS = {
     "export": {"onnx": "onnx", "onnxruntime": "onnxruntime", "onnxscript": "onnxscript"},
     "simulate": {"mitsuba": "mitsuba", **_PHOTO},
     "xls": {"xlrd": "xlrd"},
+    "catalogue": {"pyarrow": "pyarrow", **_IMAGES, **_SPECTRAL},
 }
 """For each extra the modules that are imported, with the names that pip installs them by."""
 

@@ -78,6 +78,11 @@ capture = App(
     help="From photographs: the camera, its colour, the light and the normals.",
     sort_key=100,
 )
+catalogue = App(
+    name="catalogue",
+    help="Thousands of shells in one folder: add them, find them by colour and angle.",
+    sort_key=101,
+)
 
 _COMMANDS = (
     (
@@ -188,9 +193,41 @@ _CAPTURE_COMMANDS = (
         "raden capture simulate --material yakogai -o photographs",
     ),
 )
+_CATALOGUE_COMMANDS = (
+    (
+        "catalogue_commands:add",
+        "Add measurements and models, each kept byte for byte; make the catalogue if need be.",
+        "raden catalogue add shells yakogai*.csv --tag Tokyo",
+    ),
+    (
+        "catalogue_commands:find",
+        "Rank the shells by a colour at an angle, as the greenest at 40 degrees.",
+        "raden catalogue find shells --colour green --at 40 --sheet greenest.png",
+    ),
+    (
+        "catalogue_commands:show",
+        "Say where a shell came from, how it was fitted, and its colours over the angles.",
+        "raden catalogue show shells 4c6997",
+    ),
+    (
+        "catalogue_commands:get",
+        "Write a shell's file as it was added, byte for byte.",
+        "raden catalogue get shells 4c6997 -o shell.csv",
+    ),
+    (
+        "catalogue_commands:check",
+        "Read every shell's file and compare it with its SHA-256.",
+        "raden catalogue check shells",
+    ),
+)
 
 app.command(capture)
-for group, commands in ((app, _COMMANDS), (capture, _CAPTURE_COMMANDS)):
+app.command(catalogue)
+for group, commands in (
+    (app, _COMMANDS),
+    (capture, _CAPTURE_COMMANDS),
+    (catalogue, _CATALOGUE_COMMANDS),
+):
     for place, (where, summary, example) in enumerate(commands):
         group.command(
             f"raden_torch.cli.{where}",

@@ -173,10 +173,28 @@ def write_pixels(
     Raises:
         InputError: OpenCV cannot encode them so, or the folder does not exist.
     """
+    suffix = Path(path).suffix.lower()
+    try:
+        data = encoded(pixels, suffix, alpha)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if alpha is not None and suffix in (".tif", ".tiff"):
+        data = _with_straight_alpha(data)
+    if profile is not None:
+        data = with_space(data, profile)
+    with written_beside(path) as temporary:
+        temporary.write_bytes(data)
+
+
+def encoded(pixels: NDArray[Any], suffix: str, alpha: NDArray[Any] | None = None) -> bytes:
+    """`[H, W, 3]` RGB or `[H, W]` grey pixels as an image file's bytes; `suffix` as ".png".
+
+    Raises:
+        InputError: OpenCV cannot encode them so.
+    """
     require("images", "images")
     import cv2
 
-    suffix = Path(path).suffix.lower()
     bgr = np.ascontiguousarray(pixels[..., ::-1]) if pixels.ndim == 3 else pixels
     if alpha is not None:
         bgr = np.dstack([*(bgr,) * (1 if bgr.ndim == 3 else 3), alpha])
@@ -186,14 +204,8 @@ def write_pixels(
     except cv2.error:
         ok = False
     if not ok:
-        raise InputError(f"{path}: OpenCV could not encode the picture")
-    encoded = data.tobytes()
-    if alpha is not None and suffix in (".tif", ".tiff"):
-        encoded = _with_straight_alpha(encoded)
-    if profile is not None:
-        encoded = with_space(encoded, profile)
-    with written_beside(path) as temporary:
-        temporary.write_bytes(encoded)
+        raise InputError("OpenCV could not encode the picture")
+    return bytes(data.tobytes())
 
 
 def _with_straight_alpha(tiff: bytes) -> bytes:

@@ -29,7 +29,7 @@ from raden_torch.capture.spectrometer.journal_records import (
 )
 from raden_torch.capture.spectrometer.scan_plan import Decision, TakenReading
 from raden_torch.errors import InputError
-from raden_torch.files import check_writable, written_beside
+from raden_torch.files import check_writable, write_durably
 
 __all__ = ["Fault", "Header", "Record", "Reference", "Session"]  # beside what is defined here
 
@@ -160,15 +160,7 @@ class JournalFile:
                 "move it away"
             )
         line = _line(header.as_json())
-        with written_beside(target) as temporary, temporary.open("wb") as file:
-            file.write(line)
-            file.flush()
-            os.fsync(file.fileno())
-        folder = os.open(target.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        write_durably(target, line)
         return cls(target, JournalContents(header, whole_bytes=len(line)))
 
     @classmethod

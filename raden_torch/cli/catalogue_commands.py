@@ -1,0 +1,277 @@
+"""Catalogues of shells: catalogue add, find, show, get, check."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Parameter
+
+from raden_torch.cli.option_types import argument, files, output
+from raden_torch.cli.status import progress
+from raden_torch.errors import InputError
+from raden_torch.files import check_output, written_beside
+
+if TYPE_CHECKING:
+    from raden_torch.catalogue import Added, Catalogue, Entry, Found, Geometry
+
+Folder = Annotated[Path, argument("the folder of the catalogue")]
+ShellId = Annotated[str, argument("a shell's ID, or the digits that it begins with")]
+AsJson = Annotated[bool, Parameter(name="--json", help="print JSON instead of text")]
+_SHOWN_AT = (0.0, 20.0, 40.0, 60.0, 80.0)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class AddOptions:
+    """What is kept with the shells."""
+
+    tag: tuple[str, ...] = ()
+    """a word to find them by; may be repeated"""
+    note: str = ""
+    """a line that is kept with them"""
+    assume: Literal["isotropic"] | None = None
+    """assumed symmetry of measured samples: one plane, one view or one side is then enough"""
+    wait_s: Annotated[float, Parameter(name="--wait")] = 60.0
+    """how long to wait for another process that adds, seconds"""
+
+
+def add(
+    folder: Folder,
+    /,
+    *shells: Annotated[Path, files("measurements or models, one shell each")],
+    what: AddOptions = AddOptions(),
+    as_json: AsJson = False,
+) -> None:
+    from raden_torch.catalogue import Catalogue
+
+    catalogue = Catalogue(folder, create=True)
+    done: list[Added] = []
+    failed: list[str] = []
+    with progress("adding") as share_done:
+        for place, path in enumerate(shells):
+            try:
+                added = _added(catalogue, path, what)
+            except InputError as error:
+                failed.append(str(error))
+                print(f"raden: {' '.join(str(error).split())}", file=sys.stderr)
+            else:
+                done.append(added)
+                if not as_json:
+                    print(_in_words(path, added), flush=True)
+            share_done((place + 1) / len(shells))
+    if as_json:
+        states = [{"state": a.state, **asdict(a.entry)} for a in done]
+        print(json.dumps({"shells": states, "failed": failed}, indent=2, ensure_ascii=False))
+    else:
+        print(f"{folder}: {len(catalogue)} shells")
+    if failed:
+        raise InputError(f"catalogue add: {len(failed)} of {len(shells)} files were not added")
+
+
+def _added(catalogue: Catalogue, path: Path, what: AddOptions) -> Added:
+    try:
+        return catalogue.add(
+            path, tags=what.tag, note=what.note, assume=what.assume, wait_s=what.wait_s
+        )
+    except FileNotFoundError as error:
+        raise InputError(f"{error.filename}: expected a file, got none") from None
+
+
+def _in_words(path: Path, added: Added) -> str:
+    said = {
+        "new": "added",
+        "known": "is in the catalogue already, unchanged",
+        "restored": "is in the catalogue already; its file there was damaged, now restored",
+    }
+    return f"{added.entry.short_id}  {path.name}: {said[added.state]}"
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class FindOptions:
+    """Which shells, and where their colour is looked at."""
+
+    colour: str | None = None
+    """a name (green, 緑), a hue angle in degrees (162), #rrggbb or lab:L,a,b; without one, shells
+    in the order in which they were added"""
+    incidence_deg: Annotated[float, Parameter(name="--at")] = 40.0
+    """incidence, degrees, 0…80"""
+    receiving_deg: float | None = None
+    """receiving, degrees, −80…80; by default the mirror direction"""
+    tilt_deg: float = 0.0
+    """tilt, degrees, −60…60"""
+    rank: Literal["chroma", "saturation"] = "chroma"
+    """how a hue is ranked: by chroma towards it, or by that beside the lightness"""
+    kind: Literal["measurement", "model"] | None = None
+    """only measurements, or only models"""
+    tag: tuple[str, ...] = ()
+    """only shells with this tag; may be repeated"""
+    name: str = ""
+    """only shells with this text in their name or file"""
+    limit: int = 10
+    """how many are shown; 0: all"""
+    sheet: Path | None = None
+    """also a picture of what was found: .png, .svg or .pdf"""
+
+    def __post_init__(self) -> None:
+        if self.limit < 0:
+            raise InputError(f"--limit: expected 0 or more, got {self.limit}")
+
+
+def find(folder: Folder, /, *, what: FindOptions = FindOptions(), as_json: AsJson = False) -> None:
+    from raden_torch.catalogue import Catalogue, ColourQuery, Geometry
+
+    if what.sheet is not None:
+        from raden_torch.plots import check_plot_path
+
+        check_plot_path(what.sheet)
+    colour = None if what.colour is None else ColourQuery.read(what.colour, what.rank)
+    at = Geometry(what.incidence_deg, what.receiving_deg, what.tilt_deg)
+    catalogue = Catalogue(folder)
+    found = catalogue.find(
+        colour, at, kind=what.kind, tags=what.tag, name=what.name, limit=what.limit or None
+    )
+    if colour is None:
+        title = f"{len(found)} of {len(catalogue)} shells, as they were added"
+    else:
+        title = f"{colour.text}, {len(found)} of {len(catalogue)} shells: {colour.formula}; {at}"
+    if what.sheet is not None and found:
+        from raden_torch.catalogue.contact_sheet import draw_sheet
+        from raden_torch.plots import save_plot
+
+        save_plot(draw_sheet(catalogue, found, title), what.sheet)
+    if as_json:
+        print(
+            json.dumps(
+                _found_json(found, colour.formula if colour else None, at), ensure_ascii=False
+            )
+        )
+        return
+    print(title)
+    for place, one in enumerate(found, 1):
+        print(_found_line(place, one))
+    if any(one.measured is False for one in found):
+        print("* beyond the measured angles, or it is not known which were")
+    if what.sheet is not None and found:
+        print(f"wrote {what.sheet}")
+
+
+def _found_line(place: int, found: Found) -> str:
+    from raden_torch.catalogue.colour_query import chroma_and_hue
+
+    entry = found.entry
+    said = ""
+    if found.lab is not None:
+        chroma, hue = chroma_and_hue(found.lab)
+        star = " " if found.measured else "*"
+        said = f"{found.score:8.3g}{star} L* {found.lab[0]:5.1f}  C* {chroma:5.1f}  h {hue:5.1f}°  "
+    kind = f"simulated {entry.kind}" if entry.simulated else entry.kind
+    tags = f"  [{', '.join(entry.tags)}]" if entry.tags else ""
+    return (
+        f"{place:4}  {entry.short_id}  {said}{entry.name or '(unnamed)'}, {entry.file}, {kind}"
+        + (tags)
+    )
+
+
+def _found_json(found: list[Found], formula: str | None, at: Geometry) -> dict[str, Any]:
+    where = {"incidence_deg": at.incidence_deg, "receiving_deg": at.receiving}
+    shells = [
+        {
+            "id": one.entry.sha256,
+            "name": one.entry.name,
+            "file": one.entry.file,
+            "kind": one.entry.kind,
+            "simulated": one.entry.simulated,
+            "tags": one.entry.tags,
+            "lab": one.lab,
+            "score": one.score,
+            "measured": one.measured,
+        }
+        for one in found
+    ]
+    return {"formula": formula, **where, "tilt_deg": at.tilt_deg, "shells": shells}
+
+
+def show(folder: Folder, shell: ShellId, /, *, as_json: AsJson = False) -> None:
+    from raden_torch.catalogue import Catalogue
+
+    catalogue = Catalogue(folder)
+    entry = catalogue.entry(shell)
+    colours = catalogue.mirror_colours(entry, _SHOWN_AT)
+    if as_json:
+        places = {"path": str(catalogue.file(entry)), "thumbnail": str(catalogue.thumbnail(entry))}
+        mirror = [
+            {"incidence_deg": at, "lab": lab.tolist()}
+            for at, lab in zip(_SHOWN_AT, colours, strict=True)
+        ]
+        said = {**asdict(entry), **places, "mirror": mirror}
+        print(json.dumps(said, indent=2, ensure_ascii=False))
+        return
+    print("\n".join(_facts(entry, catalogue)))
+    from raden_torch.catalogue.colour_query import chroma_and_hue
+
+    print("colour in the mirror direction:")
+    for at, lab in zip(_SHOWN_AT, colours, strict=True):
+        chroma, hue = chroma_and_hue(lab)
+        known = "" if entry.measured_at(at, at, 0.0) else "  (beyond the measured angles)"
+        print(f"  {at:3.0f} deg: L* {lab[0]:.1f}, C* {chroma:.1f}, h {hue:.0f}°{known}")
+
+
+def _facts(entry: Entry, catalogue: Catalogue) -> list[str]:
+    kind = f"simulated {entry.kind}" if entry.simulated else entry.kind
+    lines = [
+        f"{entry.name or '(unnamed)'}: {kind}",
+        f"SHA-256: {entry.sha256}",
+        f"file: {entry.file}, {entry.bytes} bytes, added {entry.added}",
+        f"kept as: {catalogue.file(entry)}",
+        f"thumbnail: {catalogue.thumbnail(entry)}",
+    ]
+    named = {"date": entry.date, "instrument": entry.instrument, "tags": ", ".join(entry.tags)}
+    named |= {"note": entry.note, **entry.header}
+    lines += [f"{name}: {text}" for name, text in named.items() if text]
+    axes = zip(("incidence", "receiving", "tilt"), entry.box_deg, strict=False)
+    box = ", ".join(f"{name} {low:g}…{high:g}" for name, (low, high) in axes)
+    lines += [f"measured: {box} deg"] if box else []
+    fit = entry.fit
+    if "interpolation" in fit:
+        lines.append(
+            f"fit: {fit['interpolation']}, {fit['measured']} of {fit['cells']} nodes measured, "
+            f"residual {fit['reading_rms']:.2e} of the 99.9 % quantile (--json has all of it)"
+        )
+    return lines + [f"warning of the fit: {text}" for text in fit.get("warnings", ())]
+
+
+def get(
+    folder: Folder,
+    shell: ShellId,
+    /,
+    *,
+    output: Annotated[Path, output("the file to write, as it was added")],
+) -> None:
+    from raden_torch.catalogue import Catalogue
+
+    catalogue = Catalogue(folder)
+    entry = catalogue.entry(shell)
+    check_output(output, inputs=(catalogue.file(entry),))
+    data = catalogue.content(entry)
+    with written_beside(output) as temporary:
+        temporary.write_bytes(data)
+    print(f"wrote {output}: {entry.file} as it was added, SHA-256 {entry.sha256}")
+
+
+def check(folder: Folder, /) -> None:
+    from raden_torch.catalogue import Catalogue
+
+    catalogue = Catalogue(folder)
+    damaged = 0
+    with progress("reading") as share_done:
+        for line in catalogue.damages(share_done):
+            damaged += 1
+            print(f"raden: {line}", file=sys.stderr)
+    if damaged:
+        raise InputError(f"{folder}: {damaged} of {len(catalogue)} shells are damaged or missing")
+    print(f"{folder}: {len(catalogue)} shells, each as it was added")
