@@ -10,17 +10,11 @@ import warnings
 from collections.abc import Sequence
 
 try:
-    from cyclopts import CycloptsError
-
     from raden_torch.cli.command_table import app
-    from raden_torch.cli.option_names import options_of, with_options
-    from raden_torch.cli.refusals import refusal
+    from raden_torch.cli.endings import ending_of, in_options
 except KeyboardInterrupt:  # while the command starts
     sys.exit(128 + signal.SIGINT)
-from raden_torch.errors import InputError
 from raden_torch.interrupts import Interrupted, ignore_signals, signals_interrupt
-
-_NO_MEMORY = "not enough memory; smaller pictures (--size) or fewer readings need less"
 
 
 def main() -> None:
@@ -34,23 +28,12 @@ def main() -> None:
     try:
         with signals_interrupt():
             run(sys.argv[1:])
-    except CycloptsError as error:
-        _fail(refusal(error))
-    except Interrupted as error:
-        print(f"raden: stopped by {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    except InputError as error:
-        _fail(str(error))
-    except Warning as error:  # PYTHONWARNINGS=error
-        _fail(f"stopped at a warning: {error}")
-    except OSError as error:
-        _fail(f"{error.filename or 'output'}: {error.strerror or error}")
-    except MemoryError:
-        _fail(_NO_MEMORY)
-    except RuntimeError as error:
-        if "allocate memory" not in str(error):  # how torch says it
+    except (Exception, Interrupted) as error:
+        ending = ending_of(error, sys.argv[1:])
+        if ending is None:
             raise
-        _fail(_NO_MEMORY)
+        print(f"raden: {ending.message}", file=sys.stderr)
+        sys.exit(ending.exit_code)
     finally:
         atexit.register(ignore_signals)
     sys.exit(0)
@@ -71,14 +54,4 @@ def run(arguments: Sequence[str]) -> None:
 
 
 def _print_warning(message: Warning | str, *_: object, **__: object) -> None:
-    print(f"raden: warning: {_in_options(str(message))}", file=sys.stderr)
-
-
-def _fail(message: str) -> None:
-    print(f"raden: {_in_options(message)}", file=sys.stderr)
-    sys.exit(2)
-
-
-def _in_options(message: str) -> str:
-    """One line, in which the library's parameters are this command's options."""
-    return with_options(" ".join(message.split()), options_of(app, sys.argv[1:]))
+    print(f"raden: warning: {in_options(str(message), sys.argv[1:])}", file=sys.stderr)

@@ -188,6 +188,11 @@ _CAPTURE_COMMANDS = (
         "raden capture segment lamp*.png --shells 3 -o map.png",
     ),
     (
+        "batch.photo_sets:batch",
+        "Take the steps above for every photograph set of a folder, with one report.",
+        "raden capture batch shells; shells/defaults.toml and shells/*/set.toml say which steps",
+    ),
+    (
         "simulated_photographs_command:simulate",
         "Photograph a simulated specimen by Mitsuba 3, with everything that is true of it beside.",
         "raden capture simulate --material yakogai -o photographs",

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from raden_torch.cli.batch.scan_queue import run_queue
+from raden_torch.cli.endings import Ending, StoppedError
 from raden_torch.cli.option_types import output
 from raden_torch.cli.scan_options import PlanOptions, ReferenceOptions, RigOptions, SessionOptions
 from raden_torch.cli.status import working
@@ -38,6 +40,13 @@ def scan(
     from raden_torch.capture.spectrometer import scan_session
     from raden_torch.capture.spectrometer.journal import read_journal
 
+    if session.queue is not None:
+        if output is not None or (session, rig, plan, white) != (
+            *(SessionOptions(queue=session.queue), RigOptions(), PlanOptions(), ReferenceOptions()),
+        ):
+            raise InputError("--queue: expected alone; the options of each scan are in its file")
+        run_queue(session.queue)
+        return
     _check(output, session, rig)
     if session.from_journal is not None:
         assert output is not None
@@ -87,7 +96,9 @@ def scan(
 def _check(output: Path | None, session: SessionOptions, rig: RigOptions) -> None:
     """Refuse options that contradict each other."""
     if rig.simulate + (rig.config is not None) + (session.from_journal is not None) != 1:
-        raise InputError("scan: give --config RIG.toml, --simulate, or --from-journal")
+        raise InputError(
+            "scan: give --config RIG.toml, --simulate, --queue FILE.toml, or --from-journal"
+        )
     if output is None and session.needs_output:
         raise InputError("scan: name the measurement to write, as -o shell.csv")
     if session.resume and output is None:
@@ -157,22 +168,22 @@ def _run(
                 retry_policy=RetryPolicy(first_wait_s=waiting_s),
             )
     except ScanStoppedError as error:
-        _say_resume(journal, str(error))
-        raise SystemExit(STOPPED) from error
+        raise _stopped(journal, Ending(STOPPED, " ".join(str(error).split()))) from error
     except Interrupted as error:
-        _say_resume(journal, f"stopped by {error}")
-        raise SystemExit(error.exit_code) from error
+        raise _stopped(journal, Ending(error.exit_code, f"stopped by {error}")) from error
 
 
-def _say_resume(journal: JournalFile, why: str) -> None:
+def _stopped(journal: JournalFile, ending: Ending) -> StoppedError:
+    """Says how to go on."""
     contents = journal.contents
-    print(f"raden: {' '.join(why.split())}", file=sys.stderr)
+    print(f"raden: {ending.message}", file=sys.stderr)
     partial = "" if not contents.taken else "; --from-journal writes what there is"
     print(
         f"raden: {len(contents.taken)} of {contents.plan.steps} readings are in "
         f"{journal.path}; go on with the same command and --resume{partial}",
         file=sys.stderr,
     )
+    return StoppedError(ending)
 
 
 @contextmanager

@@ -130,6 +130,8 @@ class SessionOptions:
     """do not home: the rig stands at this incidence,receiving,tilt"""
     resume: bool = False
     """continue a scan from its journal"""
+    queue: Path | None = None
+    """take the scans that a file lists, one after another (.toml); see docs/measuring.md"""
     from_journal: Path | None = None
     """write what a journal holds so far; needs no instrument"""
     dry_run: bool = False

@@ -1,0 +1,1 @@
+"""Many runs of `raden`, one after another, with one report: photograph sets, a queue of scans."""
