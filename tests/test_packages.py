@@ -36,6 +36,7 @@ WORKS = [
     "--version",
     "capture brdf --help",
     "capture simulate --help",
+    "catalogue find --help",
     "scan --help",
     "info --system",
     "info {folder}/shell.csv",
@@ -58,6 +59,7 @@ ASKS = {  # a command: what needs the extra, and the extra
     "export {shell} -o {folder}/b.onnx": ("exported shaders", "export"),
     "info {folder}/a.onnx": ("ONNX files", "export"),
     "capture simulate -o {folder}/photographs": ("simulated photographs", "simulate"),
+    "catalogue find {folder} --colour green": ("catalogues", "catalogue"),
     "info {folder}/a.xls": ("workbooks of the RT-300S", "xls"),
     "demo --out {folder}/demo": ("the demo's pictures", "images,plots,export"),
 }

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 MOST = 400
 """Shells on one sheet."""
-_INCHES = 1.25
+_INCHES = 1.5
 _LETTERS = 22
 _BACKGROUND, _INK, _FAINT = "black", "0.85", "0.55"
 
@@ -44,7 +44,7 @@ def draw_sheet(catalogue: Catalogue, found: Sequence[Found], title: str) -> Figu
         )
     across = min(len(found), max(5, round((1.5 * len(found)) ** 0.5)))
     down = -(-len(found) // across)
-    size = across * _INCHES, down * _INCHES * 1.55 + 0.4
+    size = across * _INCHES, down * _INCHES * 1.8 + 0.3
     figure = Figure(figsize=size, facecolor=_BACKGROUND, layout="constrained")
     FigureCanvasAgg(figure)
     title = printable(title)
@@ -54,8 +54,16 @@ def draw_sheet(catalogue: Catalogue, found: Sequence[Found], title: str) -> Figu
         ax.set_axis_off()
     for place, (ax, one) in enumerate(zip(axes, found, strict=False), 1):
         ax.imshow(_with_strip(catalogue, one), interpolation="lanczos")
-        label = printable("\n".join(_label(place, one)))
-        ax.set_title(label, y=-0.02, va="top", fontsize=SMALL, color=_FAINT, family=families(label))
+        label = "\n".join(map(printable, _label(place, one)))
+        ax.text(
+            *(0.5, -0.04, label),
+            transform=ax.transAxes,
+            ha="center",
+            va="top",
+            fontsize=SMALL,
+            color=_FAINT,
+            family=families(label),
+        )
     return figure
 
 

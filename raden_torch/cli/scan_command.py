@@ -41,13 +41,12 @@ def scan(
     from raden_torch.capture.spectrometer.journal import read_journal
 
     if session.queue is not None:
-        if output is not None or (session, rig, plan, white) != (
-            *(SessionOptions(queue=session.queue), RigOptions(), PlanOptions(), ReferenceOptions()),
-        ):
+        usual = SessionOptions(queue=session.queue), RigOptions(), PlanOptions(), ReferenceOptions()
+        if output is not None or (session, rig, plan, white) != usual:
             raise InputError("--queue: expected alone; the options of each scan are in its file")
         run_queue(session.queue)
         return
-    _check(output, session, rig)
+    _check(output, session, rig, white)
     if session.from_journal is not None:
         assert output is not None
         check_output(output, (".csv",), inputs=(session.from_journal,))
@@ -55,11 +54,6 @@ def scan(
         return
     if output is not None:
         check_output(output, (".csv",), inputs=(rig.config, plan.kind, rig.specimen))
-    if session.resume and white.are_made:
-        raise InputError(
-            "--resume: --white-every and --white-readings are in the journal; leave them out"
-        )
-    white.references()  # refused before a rig is opened
     scale = rig.scale(session.dry_run)
     with rig.rig(scale, plan.seed) as opened:
         if output is not None:
@@ -93,7 +87,9 @@ def scan(
                 _write(journal.contents, journal.path, output)
 
 
-def _check(output: Path | None, session: SessionOptions, rig: RigOptions) -> None:
+def _check(
+    output: Path | None, session: SessionOptions, rig: RigOptions, white: ReferenceOptions
+) -> None:
     """Refuse options that contradict each other."""
     if rig.simulate + (rig.config is not None) + (session.from_journal is not None) != 1:
         raise InputError(
@@ -107,6 +103,11 @@ def _check(output: Path | None, session: SessionOptions, rig: RigOptions) -> Non
         output is None or session.check or session.dry_run or session.resume
     ):
         raise InputError("--from-journal reads one file and writes another: it goes with -o alone")
+    if session.resume and white.are_made:
+        raise InputError(
+            "--resume: --white-every and --white-readings are in the journal; leave them out"
+        )
+    white.references()  # refused before a rig is opened
 
 
 class _Operator:

@@ -19,7 +19,7 @@ from raden_torch.cli.option_names import options_of
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
-GROUPS = ((), ("capture",))
+GROUPS = ((), ("capture",), ("catalogue",))
 
 
 def commands() -> list[tuple[str, ...]]:
@@ -50,8 +50,10 @@ def test_all_commands_are_here() -> None:
     assert " ".join(one) == (
         "fit info analyse merge convert plot export verify bench render relight demo scan"
     )
-    steps = [words[1] for words in COMMANDS if len(words) == 2]
-    assert " ".join(steps) == "calibrate colour lights normals brdf segment simulate"
+    steps = [" ".join(words) for words in COMMANDS if len(words) == 2]
+    capture = ["calibrate", "colour", "lights", "normals", "brdf", "segment", "batch", "simulate"]
+    catalogue = ["add", "find", "show", "get", "check"]
+    assert steps == [f"capture {x}" for x in capture] + [f"catalogue {x}" for x in catalogue]
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
@@ -86,10 +88,12 @@ def test_help_names_every_command(raden: Command) -> None:
         done = raden(*words)
         assert (done.returncode, done.stderr) == (code, "")
         assert all(f"│ {name} " in done.stdout for name, *step in COMMANDS if not step)
-    for words, code in (("capture", "-h"), 0), (("capture",), 2):
-        done = raden(*words)
-        assert (done.returncode, done.stderr) == (code, "")
-        assert all(f"│ {step[0]} " in done.stdout for _, *step in COMMANDS if step)
+    for group in ("capture", "catalogue"):
+        for words, code in ((group, "-h"), 0), ((group,), 2):
+            done = raden(*words)
+            assert (done.returncode, done.stderr) == (code, "")
+            steps = [step[0] for name, *step in COMMANDS if step and name == group]
+            assert all(f"│ {step} " in done.stdout for step in steps)
 
 
 @pytest.mark.parametrize("words", [("--help",), ("capture", "--help"), ("render", "--help")])

@@ -13,6 +13,7 @@ first; `normals = false` leaves a step out.
 
 from __future__ import annotations
 
+import sys
 import tomllib
 from collections.abc import Mapping
 from glob import glob
@@ -58,6 +59,9 @@ def batch(
     check_output(target, (".json",))
     found = photo_sets(folder)
     made = Batch(f"photograph sets in {folder}", target, list(found))
+    for place in sorted(folder.glob("[!.]*/")):
+        if place.name not in found:
+            print(f"raden: {place}: left out, no {SET_FILE}", file=sys.stderr)
     for name, job in found.items():
         if isinstance(job, InputError):
             made.record(Outcome(name, "failed", str(job), WRONG_INPUT))

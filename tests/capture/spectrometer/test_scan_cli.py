@@ -250,8 +250,11 @@ def test_a_journal_is_not_overwritten_nor_mixed(rig: SimulatedRig, tmp_path: Pat
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ((), "give --config RIG.toml, --simulate, or --from-journal"),
-        (("--simulate", "--from-journal", "x.jsonl"), "give --config RIG.toml, --simulate, or"),
+        ((), "give --config RIG.toml, --simulate, --queue FILE.toml, or --from-journal"),
+        (
+            ("--simulate", "--from-journal", "x.jsonl"),
+            "give --config RIG.toml, --simulate, --queue",
+        ),
         (("--from-journal", "x.jsonl", "--resume", "-o", "x.csv"), "goes with -o alone"),
         (("--simulate",), "name the measurement to write"),
         (("--simulate", "--check", "--resume"), "--resume: name the measurement"),
