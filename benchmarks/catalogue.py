@@ -133,7 +133,11 @@ def main(count: int) -> None:
         index = sum(f.stat().st_size for f in (folder / "shells" / "index").iterdir())
         contents = json.loads((folder / "shells" / "catalogue.json").read_text())
         print(f"index: {index / count / 1e3:.1f} kB a shell in {len(contents['segments'])} files")
-        one = rt.fit(rt.simulate_specimen("yakogai", step_deg=5), interpolation="trilinear").model
+        measured = rt.simulate_specimen("yakogai", step_deg=5)
+        start = time.perf_counter()
+        one = rt.fit(measured).model
+        fit_s = time.perf_counter() - start
+        print(f"a fit takes as long as {fit_s / np.median(whole):.0f} additions of a model")
         rt.save_model(one, folder / "one.safetensors")
         errors = index_error(one, look(folder / "one.safetensors"))
         print("yakogai, ΔE*ab of the index, median: mirror {:.2f}, anywhere {:.2f}".format(*errors))

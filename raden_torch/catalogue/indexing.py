@@ -6,7 +6,9 @@ no lock.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, cast
 
@@ -19,6 +21,7 @@ from raden_torch.errors import InputError
 
 if TYPE_CHECKING:
     from raden_torch.brdf.materials.surface import Reflection
+    from raden_torch.brdf.shading.lights import Light
     from raden_torch.measurement import BrdfMeasurement
 
 THUMBNAIL_PX = 96
@@ -156,13 +159,18 @@ def _lab(model: Reflection) -> NDArray[np.float16]:
     return cast("NDArray[np.float16]", lab.astype(np.float16))
 
 
+@cache
+def _window() -> Light:
+    """Made once: it takes as long as the picture."""
+    from raden_torch.brdf.shading.light_setups import light_setup
+
+    return light_setup("window")
+
+
 def _thumbnail(model: Reflection) -> bytes:
     """A sphere beside a window, exposed for itself, as a PNG."""
-    import warnings
-
     from raden_torch.brdf.files.display import AS_IT_IS, eight_bits
     from raden_torch.brdf.materials.anisotropic import takes_tangent
-    from raden_torch.brdf.shading.light_setups import light_setup
     from raden_torch.images.pixels import encoded
     from raden_torch.pictures import render_shape
 
@@ -171,7 +179,7 @@ def _thumbnail(model: Reflection) -> bytes:
         image = render_shape(
             model,
             "sphere",
-            [light_setup("window")],
+            [_window()],
             tangent=(1.0, 0.0, 0.0) if takes_tangent(model) else None,
             size=THUMBNAIL_PX,
         )
