@@ -9,8 +9,9 @@ from raden_torch.packages import require
 
 require("catalogues", "catalogue")
 
-from raden_torch.catalogue.catalogue import Added, Catalogue, Found
+from raden_torch.catalogue.catalogue import Added, Catalogue
 from raden_torch.catalogue.colour_query import ColourQuery, Geometry
 from raden_torch.catalogue.entry import Entry
+from raden_torch.catalogue.search import Found
 
 __all__ = ["Added", "Catalogue", "ColourQuery", "Entry", "Found", "Geometry"]

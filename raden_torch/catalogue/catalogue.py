@@ -11,13 +11,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from raden_torch.arrays import Floats
 from raden_torch.catalogue.colour_query import ColourQuery, Geometry
 from raden_torch.catalogue.entry import COLUMNS, Entry
-from raden_torch.catalogue.lab_grid import INCIDENCE, SHAPE, column, columns_at, within
-from raden_torch.catalogue.store import THUMBNAIL, Store, single_row
+from raden_torch.catalogue.index_table import single_row
+from raden_torch.catalogue.lab_grid import column
+from raden_torch.catalogue.search import Found, Which, colours_of, search
+from raden_torch.catalogue.store import THUMBNAIL, Store
 from raden_torch.errors import InputError
 from raden_torch.files import check_seekable, write_durably
 
@@ -38,22 +38,6 @@ class Added:
 
     entry: Entry
     state: Literal["new", "known", "restored"]
-
-
-@dataclass(frozen=True)
-class Found:
-    """A shell that was looked for.
-
-    Attributes:
-        lab: L*, a*, b* at the geometry that was asked for; None where no colour was.
-        score: by the query's formula; None without one.
-        measured: whether the geometry lies within the angles that were measured.
-    """
-
-    entry: Entry
-    lab: tuple[float, float, float] | None = None
-    score: float | None = None
-    measured: bool | None = None
 
 
 class Catalogue:
@@ -150,27 +134,9 @@ class Catalogue:
                 the name or the file's name.
             limit: the most that are wanted; None: all.
         """
-        at = at or Geometry()
-        parts = columns_at(at) if colour else {}
-        table = self._store.read((*COLUMNS, *parts))
-        if table.num_rows == 0:
-            return []
-        chosen = np.flatnonzero(_chosen(table, kind, tags, name))
-        if colour is None:
-            rows = table.select(COLUMNS).take(chosen[:limit]).to_pylist()
-            return [Found(Entry.of_row(row)) for row in rows]
-        lab = sum(w * within(_tables(table, part), at) for part, w in parts.items())
-        lab = np.asarray(lab, float)[chosen].reshape(-1, 3)
-        scores = colour.scores(lab)
-        order = np.argsort(scores if colour.best_is_least else -scores, kind="stable")[:limit]
-        rows = table.select(COLUMNS).take(chosen[order]).to_pylist()
-        found = []
-        for row, k in zip(rows, order, strict=True):
-            entry = Entry.of_row(row)
-            lightness, a, b = lab[k].tolist()
-            measured = entry.measured_at(at.incidence_deg, at.receiving, at.tilt_deg)
-            found.append(Found(entry, (lightness, a, b), float(scores[k]), measured))
-        return found
+        return search(
+            self._store, colour, at or Geometry(), Which(kind, frozenset(tags), name), limit
+        )
 
     def entry(self, short_id: str) -> Entry:
         """The shell whose ID begins so.
@@ -196,15 +162,7 @@ class Catalogue:
 
     def mirror_colours(self, entry: Entry, incidence_deg: Sequence[float]) -> Floats:
         """`[K, 3]` L*, a*, b* of a shell in the mirror direction at these angles, 0…80."""
-        columns = [column(k) for k in range(len(INCIDENCE))]
-        table = self._store.read(("sha256", *columns))
-        row = table.take([table["sha256"].to_pylist().index(entry.sha256)])
-        return np.concatenate(
-            [
-                sum(w * within(_tables(row, c), at) for c, w in columns_at(at).items())
-                for at in map(Geometry, incidence_deg)
-            ]
-        )
+        return colours_of(self._store, entry, [Geometry(at) for at in incidence_deg])
 
     def file(self, entry: Entry) -> Path:
         """A shell's own file in the catalogue; `content` reads and checks it."""
@@ -306,19 +264,3 @@ def _row(entry: Entry, indexed: Indexed) -> pa.Table:
     facts = entry.as_row()
     del facts["number"]  # the store's to give
     return single_row(facts | {column(k): lab for k, lab in enumerate(indexed.lab)})
-
-
-def _tables(table: pa.Table, name: str) -> Floats:
-    flat = table[name].combine_chunks().flatten().to_numpy(zero_copy_only=False)
-    return flat.reshape(-1, *SHAPE[1:])
-
-
-def _chosen(table: pa.Table, kind: str | None, tags: Sequence[str], name: str) -> list[bool]:
-    wanted, text = set(tags), name.casefold()
-    columns = (table[c].to_pylist() for c in ("kind", "tags", "name", "file"))
-    return [
-        (kind is None or k == kind)
-        and wanted <= set(t)
-        and (text in n.casefold() or text in f.casefold())
-        for k, t, n, f in zip(*columns, strict=True)
-    ]

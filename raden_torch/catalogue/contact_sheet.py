@@ -15,7 +15,8 @@ from raden_torch.packages import require
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from raden_torch.catalogue.catalogue import Catalogue, Found
+    from raden_torch.catalogue.catalogue import Catalogue
+    from raden_torch.catalogue.search import Found
 
 MOST = 400
 """Shells on one sheet."""

@@ -102,11 +102,13 @@ def _of_measurement(
 
 
 def _of_model(path: Path) -> Indexed:
-    from raden_torch.brdf.files.lit_model import load_lit
+    from raden_torch.brdf.files.model_file import load_model
     from raden_torch.brdf.materials.palette import Palette
     from raden_torch.brdf.materials.runtime import models_of
+    from raden_torch.brdf.materials.spectral import SpectralBrdf
 
-    model = load_lit(path)
+    loaded = load_model(path)
+    model = loaded.under("D65") if isinstance(loaded, SpectralBrdf) else loaded
     if isinstance(model, Palette):
         raise InputError(
             f"{path}: expected the model of one shell, got a palette of {len(model)}; add its "
@@ -115,7 +117,7 @@ def _of_model(path: Path) -> Indexed:
     abouts = [part.provenance for part in models_of(model)]
     names = dict.fromkeys(about.sample for about in abouts if about.sample)
     first = abouts[0] if abouts else None
-    header = {"material": type(model).__name__}
+    header = {"material": type(loaded).__name__}
     if first is not None and first.measurement_sha256:
         header["measurement sha256"] = first.measurement_sha256
     return Indexed(

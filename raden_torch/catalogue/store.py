@@ -21,11 +21,12 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 from msgspec import Meta
 
+from raden_torch.catalogue.index_table import as_parquet, read_parquet
 from raden_torch.catalogue.writer_lock import writer_lock
 from raden_torch.errors import InputError
 from raden_torch.files import sync_folder, write_durably
@@ -135,21 +136,8 @@ class Store:
         raise InputError(f"{self.folder}: expected to read it between two additions, could not")
 
     def _segment(self, segment: Segment, columns: Sequence[str] | None = None) -> pa.Table:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         path = self.folder / "index" / segment.file
-        with path.open("rb") as file:
-            try:
-                rows = pq.ParquetFile(file, page_checksum_verification=True)
-                wanted = None if columns is None else list(columns)
-                table = rows.read(columns=wanted, use_threads=False)
-            except (pa.ArrowException, OSError, ValueError, KeyError) as error:
-                reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-                raise InputError(
-                    f"{path}: expected an index file, got a damaged one ({reason}); restore it "
-                    "from a copy"
-                ) from None
+        table = read_parquet(path, columns)
         if table.num_rows != segment.entries:
             raise InputError(f"{path}: expected {segment.entries} rows, got {table.num_rows}")
         return table
@@ -207,7 +195,7 @@ class Store:
             tables.insert(0, self._segment(kept[-1]))
             entries += kept.pop().entries
         columns = tables[-1].column_names
-        joined = _as_parquet(pa.concat_tables([table.select(columns) for table in tables]))
+        joined = as_parquet(pa.concat_tables([table.select(columns) for table in tables]))
         sha256 = hashlib.sha256(joined).hexdigest()
         segment = Segment(f"{number:06d}.parquet", entries, sha256)
         write_durably(self.folder / "index" / segment.file, joined)
@@ -250,29 +238,3 @@ def _is_empty(folder: Path) -> bool:
         path.name in begun or path.name.startswith(f".{Path(_CONTENTS).stem}.")
         for path in folder.iterdir()
     )
-
-
-def _as_parquet(table: pa.Table) -> bytes:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
-    return bytes(sink.getvalue().to_pybytes())
-
-
-def single_row(values: dict[str, Any]) -> pa.Table:
-    """A shell's row; an array `[…]` becomes a list of that fixed length."""
-    import numpy as np
-    import pyarrow as pa
-
-    columns: dict[str, pa.Array] = {}
-    for name, value in values.items():
-        if isinstance(value, np.ndarray):
-            flat = pa.array(value.ravel())
-            columns[name] = pa.FixedSizeListArray.from_arrays(flat, value.size)
-        elif isinstance(value, list):
-            columns[name] = pa.array([value], pa.list_(pa.string()))
-        else:
-            columns[name] = pa.array([value])
-    return pa.table(columns)

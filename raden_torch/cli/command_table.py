@@ -210,17 +210,17 @@ _CATALOGUE_COMMANDS = (
         "raden catalogue find shells --colour green --at 40 --sheet greenest.png",
     ),
     (
-        "catalogue_commands:show",
+        "catalogued_shell_commands:show",
         "Say where a shell came from, how it was fitted, and its colours over the angles.",
         "raden catalogue show shells 4c6997",
     ),
     (
-        "catalogue_commands:get",
+        "catalogued_shell_commands:get",
         "Write a shell's file as it was added, byte for byte.",
         "raden catalogue get shells 4c6997 -o shell.csv",
     ),
     (
-        "catalogue_commands:check",
+        "catalogued_shell_commands:check",
         "Read every shell's file and compare it with its SHA-256.",
         "raden catalogue check shells",
     ),

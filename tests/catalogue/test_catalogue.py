@@ -47,7 +47,8 @@ def test_by_tag_name_and_kind(catalogue: Catalogue) -> None:
     assert names(catalogue.find(tags=["matt", "grey"])) == ["grey"]
     assert names(catalogue.find(name="GRE", kind="model")) == ["green", "grey"]
     assert catalogue.find(kind="measurement") == []
-    assert catalogue.find(ColourQuery.read("red"), tags=["none"]) == []
+    for colour in ("red", "#ff0000"):
+        assert catalogue.find(ColourQuery.read(colour), tags=["none"]) == []
 
 
 def test_a_shell_leaves_as_it_went_in(catalogue: Catalogue, matt, tmp_path: Path) -> None:
