@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -45,8 +45,12 @@ class Batch:
 
     def __post_init__(self) -> None:
         check_outputs(self.report, self.report.with_suffix(".txt"))
-        self._outcomes = {name: Outcome(name, "not begun") for name in self.names}
         self._before = _done_before(self.report)
+        self._outcomes = {
+            # what was done stays known where this batch ends before it comes to that job
+            name: replace(self._before.get(name, Outcome(name, "not begun")), state="not begun")
+            for name in self.names
+        }
 
     def is_done(self, job: Job) -> bool:
         """Whether an earlier run has done this very job, and its outputs are still there."""
@@ -56,8 +60,7 @@ class Batch:
     def skip(self, job: Job) -> None:
         """Keep what the earlier report says of a job that was done."""
         before = self._before.get(job.name, Outcome(job.name, "skipped", outputs=job.outputs))
-        before.state = "skipped"
-        self.record(before)
+        self.record(replace(before, state="skipped"))
 
     def run(self, job: Job) -> Outcome:
         """Run a job; whatever interrupts it, the report says so."""
@@ -125,4 +128,4 @@ def _done_before(report: Path) -> dict[str, Outcome]:
     if not report.exists():
         return {}
     found = checked(read_document(report, "the report of a batch"), _Report, str(report))
-    return {one.name: one for one in found.jobs if one.state in ("done", "skipped")}
+    return {one.name: one for one in found.jobs if one.fingerprint}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,7 @@ def test_one_failing_set_is_told_and_the_rest_go_on(raden, sets: Path) -> None:
     assert not list(sets.glob("*.png"))
 
 
+@pytest.mark.slow
 def test_done_sets_are_skipped_unless_something_changed(raden, sets: Path) -> None:
     """Expected: run again are the set whose photograph is newer, the one that lacks a result, the
     one that failed; with --force all."""
@@ -114,7 +116,7 @@ def test_done_sets_are_skipped_unless_something_changed(raden, sets: Path) -> No
 
 
 def test_an_interrupted_batch_goes_on(raden, sets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C in the second of three. Expected: exit code 130, the report says what was done."""
+    """Ctrl-C in the first of two. Expected: exit code 130, and what was done before stays done."""
     shutil.rmtree(sets / "a")
     shutil.rmtree(sets / "c")
     from raden_torch.capture.photo import capture_normals
@@ -122,13 +124,21 @@ def test_an_interrupted_batch_goes_on(raden, sets: Path, monkeypatch: pytest.Mon
     def stop(*_: object, **__: object) -> None:
         raise Interrupted(2)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(capture_normals, "capture_normals", stop)
-        done = raden("capture", "batch", sets, warn="default")
+    def interrupted() -> subprocess.CompletedProcess[str]:
+        with monkeypatch.context() as patch:
+            patch.setattr(capture_normals, "capture_normals", stop)
+            return raden("capture", "batch", sets, warn="default")
+
+    done = interrupted()
     assert (done.returncode, done.stderr.splitlines()[-1]) == (130, "raden: stopped by SIGINT")
     assert states(sets) == {"b": "failed", "d": "not begun"}
     assert raden("capture", "batch", sets, warn="default").returncode == 0
     assert states(sets) == {"b": "done", "d": "done"}
+    os.utime(sets / "b" / "matt_0.png")
+    assert interrupted().returncode == 130
+    assert states(sets) == {"b": "failed", "d": "not begun"}
+    assert raden("capture", "batch", sets, warn="default").returncode == 0
+    assert states(sets) == {"b": "done", "d": "skipped"}
 
 
 @pytest.mark.parametrize(
