@@ -98,21 +98,29 @@ class Catalogue:
                 raise InputError(f"{path}: expected a file that stays, got one that has changed")
         with self._store.writing(wait_s) as add:
             if self._has(sha256):  # since before, or by another process meanwhile
-                return self._known(self.entry(sha256), data)
+                return self._known(self.entry(sha256), data, path, assume)
             entry = _entry(path, data, sha256, indexed, tags, note)
             files = {self.file(entry).name: data, THUMBNAIL: indexed.thumbnail}
             number = add(_row(entry, indexed), files)
             return Added(Entry.of_row({**entry.as_row(), "number": number}), "new")
 
-    def _known(self, entry: Entry, data: bytes) -> Added:
-        """A shell that is added again, whose own file may have been damaged since."""
+    def _known(
+        self, entry: Entry, data: bytes, path: Path, assume: Literal["isotropic"] | None
+    ) -> Added:
+        """A shell that is added again, whose folder may have been damaged since."""
+        from raden_torch.catalogue.indexing import index_file
+
+        lost = {}
         try:
             self.content(entry)
         except InputError:
-            self._store.shell(entry.number).mkdir(exist_ok=True)
-            write_durably(self.file(entry), data)
-            return Added(entry, "restored")
-        return Added(entry, "known")
+            lost[self.file(entry)] = data
+        if not self.thumbnail(entry).is_file():
+            lost[self.thumbnail(entry)] = index_file(path, assume).thumbnail
+        for place, content in lost.items():
+            place.parent.mkdir(exist_ok=True)
+            write_durably(place, content)
+        return Added(entry, "restored" if lost else "known")
 
     def find(
         self,
@@ -206,6 +214,8 @@ class Catalogue:
         for done, found in enumerate(every, 1):
             try:
                 self.content(found.entry)
+                if not (picture := self.thumbnail(found.entry)).is_file():
+                    yield f"{picture}: expected a thumbnail, got none; add {found.entry.file} again"
             except InputError as error:
                 yield str(error)
             shown(done / len(every))

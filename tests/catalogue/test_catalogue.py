@@ -111,6 +111,11 @@ def test_a_damaged_or_missing_file_is_told_and_restored(catalogue: Catalogue, ma
     for name in ("red", "green"):
         assert catalogue.add(matt(name)).state == "restored"
     assert list(catalogue.damages()) == []
+    kept = catalogue.thumbnail(red).read_bytes()
+    catalogue.thumbnail(red).unlink()
+    assert "expected a thumbnail, got none; add red.safe" in next(catalogue.damages())
+    assert catalogue.add(matt("red")).state == "restored"
+    assert catalogue.thumbnail(red).read_bytes() == kept
 
 
 @pytest.mark.parametrize(
