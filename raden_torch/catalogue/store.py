@@ -27,10 +27,10 @@ import msgspec
 from msgspec import Meta
 
 from raden_torch.catalogue.index_table import as_parquet, read_parquet
-from raden_torch.catalogue.writer_lock import writer_lock
 from raden_torch.errors import InputError
 from raden_torch.files import sync_folder, write_durably
 from raden_torch.schema import Count, checked, read_document
+from raden_torch.writer_lock import writer_lock
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -170,7 +170,7 @@ class Store:
             InputError: another process writes for longer than `wait_s`; the catalogue is damaged.
             OSError: a full disk, no permission.
         """
-        with writer_lock(self.folder / _LOCK, wait_s):
+        with writer_lock(self.folder / _LOCK, wait_s, "; `wait_s` waits longer"):
             self._clear()
             try:
                 yield self._add

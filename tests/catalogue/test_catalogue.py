@@ -20,10 +20,10 @@ import raden_torch as rt
 from raden_torch.brdf.materials.surface import Surface, reflected
 from raden_torch.catalogue import Catalogue, ColourQuery, Geometry
 from raden_torch.catalogue.lab_grid import lab_of_f_r
-from raden_torch.catalogue.writer_lock import writer_lock
 from raden_torch.errors import InputError
 from raden_torch.geometry import vectors_from_angles
 from raden_torch.images.pixels import read_pixels
+from raden_torch.writer_lock import writer_lock
 
 pytest.importorskip("fcntl")
 

@@ -62,13 +62,14 @@ def batch(
     for place in sorted(folder.glob("[!.]*/")):
         if place.name not in found:
             print(f"raden: {place}: left out, no {SET_FILE}", file=sys.stderr)
-    for name, job in found.items():
-        if isinstance(job, InputError):
-            made.record(Outcome(name, "failed", str(job), WRONG_INPUT))
-        elif not force and made.is_done(job):
-            made.skip(job)
-        else:
-            made.run(job)
+    with made.alone():
+        for name, job in found.items():
+            if isinstance(job, InputError):
+                made.record(Outcome(name, "failed", str(job), WRONG_INPUT))
+            elif not force and made.is_done(job):
+                made.skip(job)
+            else:
+                made.run(job)
     made.finish()
 
 

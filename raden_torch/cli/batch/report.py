@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +18,7 @@ from raden_torch.cli.batch.job import Job, Outcome, run_job
 from raden_torch.errors import InputError
 from raden_torch.files import check_outputs, written_beside
 from raden_torch.schema import checked, read_document
+from raden_torch.writer_lock import writer_lock
 
 FORMAT = "raden_torch batch"
 VERSION = 1
@@ -51,6 +54,19 @@ class Batch:
             name: replace(self._before.get(name, Outcome(name, "not begun")), state="not begun")
             for name in self.names
         }
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """In the block, be the only batch with this report; where there is flock (not on Windows).
+
+        Raises:
+            InputError: another one runs.
+        """
+        if os.name != "posix":
+            yield
+            return
+        with writer_lock(self.report.with_suffix(".lock"), 0.0):
+            yield
 
     def is_done(self, job: Job) -> bool:
         """Whether an earlier run has done this very job, and its outputs are still there."""

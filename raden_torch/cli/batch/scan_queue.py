@@ -54,18 +54,19 @@ def run_queue(path: Path) -> None:
     scans = _scans(path, queue)
     batch = Batch(f"scans of {path}", path.with_suffix(".report.json"), list(scans))
     gone: dict[str, str] = {}
-    for output, table in scans.items():
-        rig = str(table.get("config", "the simulated rig"))
-        if _is_finished(path.parent / output):
-            batch.skip(_job(path, output, table))
-        elif rig in gone:
-            batch.record(Outcome(output, "not begun", gone[rig], WRONG_INPUT))
-        else:
-            if queue.ask and "config" in table:
-                _ask_for_the_sample(table, output)
-            outcome = batch.run(_job(path, output, table))
-            if outcome.state == "failed" and (why := _no_answer(path, table)):
-                gone[rig] = f"{rig} does not answer: {why}"
+    with batch.alone():
+        for output, table in scans.items():
+            rig = str(table.get("config", "the simulated rig"))
+            if _is_finished(path.parent / output):
+                batch.skip(_job(path, output, table))
+            elif rig in gone:
+                batch.record(Outcome(output, "not begun", gone[rig], WRONG_INPUT))
+            else:
+                if queue.ask and "config" in table:
+                    _ask_for_the_sample(table, output)
+                outcome = batch.run(_job(path, output, table))
+                if outcome.state == "failed" and (why := _no_answer(path, table)):
+                    gone[rig] = f"{rig} does not answer: {why}"
     batch.finish()
 
 
@@ -110,7 +111,10 @@ def _is_finished(output: Path) -> bool:
     from raden_torch.capture.spectrometer.journal import read_journal
 
     journal = _journal(output)
-    return output.exists() and journal.exists() and read_journal(journal).finished
+    try:
+        return output.exists() and journal.exists() and read_journal(journal).finished
+    except InputError:
+        return False  # a damaged journal: the scan says so
 
 
 def _ask_for_the_sample(table: dict[str, Any], output: str) -> None:

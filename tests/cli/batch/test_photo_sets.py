@@ -13,6 +13,7 @@ import pytest
 
 from raden_torch.images.pixels import write_pixels
 from raden_torch.interrupts import Interrupted
+from raden_torch.writer_lock import writer_lock
 
 SIZE, RADIUS = 80, 30
 LAMPS = np.array([[0.4, 0.2, 0.9], [-0.4, 0.2, 0.9], [0.1, -0.5, 0.85], [0.2, 0.5, 0.8]])
@@ -139,6 +140,14 @@ def test_an_interrupted_batch_goes_on(raden, sets: Path, monkeypatch: pytest.Mon
     assert states(sets) == {"b": "failed", "d": "not begun"}
     assert raden("capture", "batch", sets, warn="default").returncode == 0
     assert states(sets) == {"b": "done", "d": "skipped"}
+
+
+def test_two_batches_on_one_folder(raden, sets: Path) -> None:
+    with writer_lock(sets / "report.lock", 0):
+        done = raden("capture", "batch", sets, warn="default")
+    assert done.returncode == 2
+    assert f"{sets}: expected to be its only writer within 0 s, but process " in done.stderr
+    assert not (sets / "report.json").exists()
 
 
 @pytest.mark.parametrize(

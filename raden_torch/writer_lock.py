@@ -15,11 +15,12 @@ _AGAIN_S = 0.05
 
 
 @contextmanager
-def writer_lock(path: Path, wait_s: float) -> Iterator[None]:
-    """Hold the lock on a file, which stays there, in the block.
+def writer_lock(path: Path, wait_s: float, hint: str = "") -> Iterator[None]:
+    """Hold the lock on a file, which stays there, in the block: the one writer of its folder.
 
     Args:
         wait_s: how long to wait for the process that holds it; ≥ 0.
+        hint: ends the message where the wait was in vain.
 
     Raises:
         InputError: it is still held after that; the system has no such locks.
@@ -28,7 +29,7 @@ def writer_lock(path: Path, wait_s: float) -> Iterator[None]:
         import fcntl
     except ImportError:
         raise InputError(
-            f"{path.parent}: expected a system with flock (Linux, macOS) to add to a catalogue"
+            f"{path}: expected a system with flock (Linux, macOS), got one without"
         ) from None
     lock = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     try:
@@ -42,7 +43,7 @@ def writer_lock(path: Path, wait_s: float) -> Iterator[None]:
                     holder = os.pread(lock, 200, 0).decode(errors="replace").strip()
                     raise InputError(
                         f"{path.parent}: expected to be its only writer within {wait_s:g} s, but "
-                        f"{holder or 'another process'} is writing; `wait_s` waits longer"
+                        f"{holder or 'another process'} is writing{hint}"
                     ) from None
                 time.sleep(_AGAIN_S)
         with suppress(OSError):  # a full disk; it is only told to others
