@@ -109,7 +109,7 @@ def draw_plane() -> Any:
 def draw_tilt() -> Any:
     """The tilt: N out of the plane of L and V."""
     v = drawn_vectors(INCIDENCE, RECEIVING, TILT)
-    figure, ax = sheet(5.2, 4.0)
+    figure, ax = sheet(5.2, 3.7)
     measuring_plane(ax)
     surface(ax, v["N"])
     arrow(ax, v["L"], LAMP, "L")
@@ -119,7 +119,7 @@ def draw_tilt() -> Any:
     arrow(ax, 0.9 * v["p"], PLANE, "p", away=1.25)
     ax.plot(*on_paper(np.stack([v["N"], v["N′"] * (v["N"] @ v["N′"])])).T, ":", color=NORMAL)
     arc(ax, v["N′"], v["N"], 0.72, "t")
-    ax.set(xlim=(-1.15, 1.2), ylim=(-0.62, 1.3))
+    ax.set(xlim=(-1.15, 1.2), ylim=(-0.38, 1.3))
     return figure
 
 

@@ -49,6 +49,7 @@ suppress_warnings = ["myst.header"]  # a heading may skip a level; code hosts sh
 # notebooks run when `make docs` says so, and keep their outputs in build/
 nb_execution_mode = os.environ.get("RADEN_TORCH_DOCS_NOTEBOOKS", "off")
 nb_execution_cache_path = str(PROJECT / "build" / "notebooks")
+nb_execution_in_temp = True  # notebooks write files
 nb_execution_timeout = 900
 nb_execution_raise_on_error = True
 nb_merge_streams = True
