@@ -6,6 +6,7 @@ import io
 import os
 import textwrap
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from raden_torch.brdf.files.display import check_picture_path
+from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.files import written_beside
@@ -44,6 +46,7 @@ def draw(
     tilt_deg: float = 10.0,
     surface_tilt_deg: float = 55.0,
     receiving_deg: float | None = None,
+    diffuse: DiffuseParameters | None = None,
 ) -> Figure:
     """One sheet with the graphs asked for, in their order.
 
@@ -54,6 +57,7 @@ def draw(
         tilt_deg: held in figure 5.
         surface_tilt_deg: held in figures 7 and 8.
         receiving_deg: held in figure 6; where None, 40° away from the mirror.
+        diffuse: S and n set by hand, for figures 6, 8 and 9; where None, the fit's or the model's.
 
     Raises:
         InputError: an unknown figure, an angle out of range, or no valid reading.
@@ -68,6 +72,8 @@ def draw(
         if angle is not None:
             _check_angle(name, angle)
     view = view_of(source)
+    if diffuse is not None:
+        view = replace(view, by_hand=diffuse)
     figure, axes = _empty_sheet(wanted)
     for name, ax in zip(wanted, axes, strict=True):
         _draw_panel(name, ax, view, at, receiving_deg)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from raden_torch.arrays import Floats
-from raden_torch.brdf.fitting.diffuse_fit import fit_diffuse
+from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters, fit_diffuse
 from raden_torch.brdf.model.model import CosineDiffuse, RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
@@ -37,6 +37,7 @@ class View:
         bands: the channels' names: R, G, B, or one band's.
         colourless: why it has no colour; empty where it has.
         note: what else a reader has to know; may be empty.
+        by_hand: S and n of the diffuse part, where they are not the source's own.
     """
 
     source: BrdfMeasurement | RadenBrdf
@@ -44,6 +45,7 @@ class View:
     bands: tuple[str, ...] = RGB
     colourless: str = ""
     note: str = ""
+    by_hand: DiffuseParameters | None = None
 
     @property
     def is_model(self) -> bool:
@@ -72,7 +74,9 @@ class View:
 
     @cached_property
     def _diffuse(self) -> RadenBrdf | None:
-        """The diffuse part alone: the model's own, or the fit to the valid readings."""
+        """The diffuse part alone: by hand, the model's own, or the fit to the valid readings."""
+        if self.by_hand is not None:
+            return _diffuse_model(self.by_hand)
         if isinstance(self.source, RadenBrdf):
             if self.source.diffuse is None:
                 return None
@@ -81,8 +85,12 @@ class View:
         rgb = rgb.select(rgb.valid)
         angles = [np.deg2rad(getattr(rgb, f"{name}_deg")) for name in ANGLES]
         found = fit_diffuse((angles[0], angles[1], angles[2]), rgb.values / FACTOR_PER_SR)
-        parameters = (torch.tensor(v, dtype=torch.float64) for v in (found.scale, found.exponent))
-        return RadenBrdf(CosineDiffuse(*parameters), None)
+        return _diffuse_model(found)
+
+
+def _diffuse_model(found: DiffuseParameters) -> RadenBrdf:
+    parameters = (torch.tensor(v, dtype=torch.float64) for v in (found.scale, found.exponent))
+    return RadenBrdf(CosineDiffuse(*parameters), None)
 
 
 def view_of(source: BrdfMeasurement | RadenBrdf | View) -> View:

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 
 from raden_torch import RadenBrdf, fit, simulate_specimen
-from raden_torch.brdf.fitting.diffuse_fit import fit_diffuse
+from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters, fit_diffuse
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.plots import (
@@ -175,6 +175,24 @@ def test_figure_6_keeps_away_from_the_ridge(
 ) -> None:
     plot_over_tilt(ax, shell, incidence_deg=incidence)
     assert f"incidence {incidence}°, receiving {receiving}°" in ax.get_title(loc="left")
+
+
+def test_the_diffuse_part_may_be_set_by_hand(
+    shell: BrdfMeasurement, surfaces: list[tuple[Any, ...]]
+) -> None:
+    by_hand = DiffuseParameters((0.1, 0.2, 0.3), (1.0, 2.0, 0.5))
+    over_tilt, _ = draw(shell, ("6", "8"), surface_tilt_deg=50, diffuse=by_hand).axes
+    drawn = [one.get_ydata().max() for one in over_tilt.lines if one.get_linestyle() == "--"]
+    a, r = np.deg2rad(20), np.deg2rad(60)
+    expected = [
+        100 * np.pi * scale * np.cos(r) * (1 - np.cos(a)) ** n
+        for scale, n in zip(by_hand.scale, by_hand.exponent, strict=True)
+    ]
+    np.testing.assert_allclose(drawn, expected, rtol=1e-12)
+    ((r, a, height, _),) = surfaces
+    a, r, t = np.deg2rad(a), np.deg2rad(r), np.deg2rad(50)
+    expected = 100 * np.pi * 0.2 * np.cos(t) * np.cos(r) * (1 - np.cos(a)) ** 2
+    np.testing.assert_allclose(height, expected, rtol=1e-12, atol=1e-12)
 
 
 # -- figures 7, 8 and 9 ------------------------------------------------------------------------

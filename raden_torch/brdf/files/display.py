@@ -96,7 +96,8 @@ class Display:
         return key_exposure_ev(image) if self.exposure == "key" else float(self.exposure)
 
     def picture(self, image: Tensor) -> Tensor:
-        """Scene-linear sRGB `[B, 3, H, W]` → the file's RGB in 0…1, by sRGB's curve."""
+        """Scene-linear sRGB `[B, 3, H, W]` → the file's RGB in 0…1, sRGB's curve; no gradient."""
+        image = image.detach()
         gain = 2.0 ** self.stops(image)
         shown = torch.empty_like(image, dtype=torch.float32)
         height = max(1, _BAND // max(image.shape[0] * image.shape[-1], 1))

@@ -197,3 +197,11 @@ def test_wrong_displays_are_refused(tmp_path: Path) -> None:
         Display(float("nan"))
     with pytest.raises(InputError, match=r"expected an \.exr for ACEScg"):
         Display(colour_space="acescg").write(torch.rand(1, 3, 2, 2), tmp_path / "a.png")
+
+
+def test_a_picture_of_an_image_with_gradients_is_the_same_picture() -> None:
+    """As `shade` gives it of a model that has just been fitted."""
+    light = torch.rand(1, 3, 6, 5)
+    shown = Display(exposure=0.0).picture((2 * light).requires_grad_() * 1)
+    assert not shown.requires_grad
+    assert torch.equal(shown, Display(exposure=0.0).picture(2 * light))
