@@ -13,6 +13,7 @@ from raden_torch.plots.chromaticity import plot_path
 from raden_torch.plots.comparison import draw_comparison
 from raden_torch.plots.lines import plot_in_plane, plot_over_tilt
 from raden_torch.plots.sheet import FIGURES, PLOT_SUFFIXES, check_plot_path, draw, save_plot
+from raden_torch.plots.std_map import draw_std
 from raden_torch.plots.surfaces import plot_diffuse_surface, plot_specular_surface
 
 __all__ = [
@@ -21,6 +22,7 @@ __all__ = [
     "check_plot_path",
     "draw",
     "draw_comparison",
+    "draw_std",
     "plot_diffuse_surface",
     "plot_in_plane",
     "plot_over_tilt",
