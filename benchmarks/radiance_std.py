@@ -11,7 +11,7 @@ errors are drawn with exactly the stated covariance, so theirs is not.
 
 Times are least processor times in one thread: of the fit, and of a 1080p frame with and without,
 in memory that the process has already ("again"), and in turn, in fresh pages ("in turn"). Results
-go to benchmarks/results/radiance_std_STEP.json; nothing is asserted.
+go to benchmarks/results/radiance_std_STEP_SCHEME.json; nothing is asserted.
 
     .venv/bin/python benchmarks/radiance_std.py --step 10 --draws 300
 """
@@ -196,7 +196,10 @@ def main() -> None:
                     if row:
                         print(f"{scene:26}{kind:12}{name:9}", *row)
     head = {"machine": platform.processor() or platform.machine(), **vars(given)}
-    out = Path(__file__).with_name("results") / f"radiance_std_{given.step:g}.json"
+    out = (
+        Path(__file__).with_name("results")
+        / f"radiance_std_{given.step:g}_{given.interpolation}.json"
+    )
     out.parent.mkdir(exist_ok=True)
     head |= {"fit_s": seconds, "chosen": plain.report.interpolation, "frame_ms": times}
     out.write_text(json.dumps({**head, "propagated_over_drawn": report}, indent=1) + "\n")

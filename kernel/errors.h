@@ -48,7 +48,7 @@ struct ErrorTile : ShadedTile<V> {
         alignas(64) float radiated[node_floats];
         for (int c = 0; c < node_floats; ++c) radiated[c] = light.radiated[c % 3];
         const Cells& cells = this->cells;
-        const long up = slab(), right = row();
+        const long right = scene.table.row / 3 * node_floats, up = scene.table.slab / 3 * node_floats;
         for (int g = 0; g < groups; ++g)
             reader.each_lane(g, reader.lit[g], [&](int i) {
                 const float* p = errors.values + static_cast<long>(node_floats) * cells.first[i];

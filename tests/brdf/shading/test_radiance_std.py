@@ -14,6 +14,7 @@ import raden_torch as rt
 from raden_torch.brdf.fitting.interpolated_table import make_table
 from raden_torch.brdf.fitting.tabulate import tabulate
 from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.model import simd
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.table_errors import TableErrors
 from raden_torch.brdf.shading.environment import EnvironmentLight
@@ -136,13 +137,16 @@ def test_lamps_that_read_other_cells_err_by_themselves_and_near_ones_together(mo
     torch.testing.assert_close(together, wanted, rtol=1e-4, atol=1e-7)
 
 
-def test_the_kernel_and_the_eager_form_agree(model, ball) -> None:
+@pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
+@pytest.mark.parametrize("level", simd.LEVELS)
+def test_the_kernel_and_the_eager_form_agree(model, ball, level: str) -> None:
     """Rationale: a visibility of 1 everywhere is shaded in torch."""
     generator = torch.Generator().manual_seed(2)
     tilted = ball.normal + 0.1 * torch.randn(ball.normal.shape, generator=generator)
     gbuffer = replace(ball, layer_normal=tilted, mask=0.7 * ball.mask)
     lights = [LAMP, rt.PointLight((0.5, 1.0, 3.0)), rt.SpotLight((-1.0, 0.0, 3.0), (0, 0, 0))]
-    image, fused = shaded(model, gbuffer, *lights)
+    with simd.using(level):
+        image, fused = shaded(model, gbuffer, *lights)
     seen = torch.ones_like(ball.mask)
     again, eager = shaded(model, gbuffer, *(replace(x, visibility=seen) for x in lights))
     with torch.no_grad():
