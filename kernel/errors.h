@@ -1,6 +1,8 @@
 // Tiles with standard deviations: an image, and what the errors of the table's nodes do to it. The
 // reference is shading/radiance_std.py.
 #pragma once
+#include <cstring>
+
 #include "shade.h"
 
 namespace raden {
@@ -17,7 +19,8 @@ struct ErrorTile : ShadedTile<V> {
     using Pixels = float[tile_pixels][node_floats];
     const Errors& errors;
     alignas(64) Pixels sums = {};     // over lights; of own errors over those where they are one
-    alignas(64) Pixels squares = {};  // of own errors, over what else
+    alignas(64) Pixels squares;       // of own errors, over what else
+    bool is_one = true;               // all lights' own errors are one, and need no squares
     alignas(64) float is_own[node_floats] = {};
 
     ErrorTile(const Scene& s, long b, long y, long x) : Base(s, b, y, x), errors(s.errors) {
@@ -32,6 +35,8 @@ struct ErrorTile : ShadedTile<V> {
         }
         this->see();
         reader.all_read(0);
+        for (int k = 0; k + 1 < scene.light_count; ++k) is_one &= !errors.ends[k];
+        if (!is_one) std::memset(squares, 0, sizeof squares);
         for (int k = 0; k < scene.light_count; ++k) {
             const Light& light = scene.lights[k * scene.batch + this->image];
             this->place_light(light, [&](int g, unsigned lanes, const Geometry<V>& at, const V& strength) {
@@ -91,10 +96,14 @@ struct ErrorTile : ShadedTile<V> {
             const auto keep = [&](int k) {
                 for (int c = 0; c < 3; ++c) out[c].store(images[k][c] + g * V::lanes);
             };
-            gather(g, [&](int i, int c) {
-                return squares[i][own_at + c] + sums[i][own_at + c] * sums[i][own_at + c];
-            }, out);
-            for (V& each : out) each = root(each);
+            gather(g, [&](int i, int c) { return sums[i][own_at + c]; }, out);
+            if (is_one) {
+                for (V& each : out) each = magnitude(each);
+            } else {
+                V others[3];
+                gather(g, [&](int i, int c) { return squares[i][own_at + c]; }, others);
+                for (int c = 0; c < 3; ++c) out[c] = root(fma(out[c], out[c], others[c]));
+            }
             keep(1);
             gather(g, [&](int i, int c) {
                 const float* s = sums[i] + shared_at + c;
