@@ -3,6 +3,7 @@
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <algorithm>
@@ -11,6 +12,7 @@
 #include <cmath>
 #include <optional>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include "pool.h"
@@ -115,6 +117,19 @@ std::vector<raden::Table> as_tables(const std::vector<TableOf>& from, const std:
     }
     for (raden::Table& t : tables) t.large = floats > near_caches;
     return tables;
+}
+
+// The table with errors, the images of own and systematic standard deviations, the scale's; and of
+// each light whether the next one's own errors are others.
+using ErrorsOf = std::tuple<std::int64_t, std::int64_t, std::int64_t, float, std::vector<std::uint8_t>>;
+
+void set_errors(Scene& scene, const ErrorsOf& from) {
+    scene.errors.values = reinterpret_cast<const float*>(std::get<0>(from));
+    scene.errors.own = reinterpret_cast<float*>(std::get<1>(from));
+    scene.errors.systematic = reinterpret_cast<float*>(std::get<2>(from));
+    scene.errors.scale = std::get<3>(from);
+    scene.errors.ends = std::get<4>(from).data();
+    scene.table = *scene.tables;
 }
 
 void run(Scene& scene, const std::string& level, int threads) {
@@ -247,8 +262,8 @@ NB_MODULE(_kernel, m) {
            std::optional<MapOf> layers, std::optional<MapOf> view, std::optional<MapOf> position,
            std::optional<MapOf> camera, std::optional<MapOf> mask, std::optional<IndexOf> index,
            std::optional<MapOf> weights, int weight_count, std::int64_t lights, int light_count,
-           std::array<std::int64_t, 3> size, std::int64_t image, const std::string& level,
-           int threads) {
+           std::array<std::int64_t, 3> size, std::int64_t image, std::optional<ErrorsOf> errors,
+           const std::string& level, int threads) {
             Scene s;
             const std::vector<raden::Table> several = as_tables(tables, warps);
             s.tables = several.data(), s.table_count = static_cast<int>(several.size());
@@ -267,6 +282,7 @@ NB_MODULE(_kernel, m) {
                              (light.kind == raden::point && light.reach < FLT_MAX);
             }
             s.image = reinterpret_cast<float*>(image);
+            if (errors) set_errors(s, *errors);
             nb::gil_scoped_release released;
             run(s, level, threads);
         },
@@ -274,9 +290,9 @@ NB_MODULE(_kernel, m) {
         nb::arg("view").none(), nb::arg("position").none(), nb::arg("camera").none(),
         nb::arg("mask").none(), nb::arg("index").none(), nb::arg("weights").none(),
         nb::arg("weight_count"), nb::arg("lights"), nb::arg("light_count"), nb::arg("size"),
-        nb::arg("image"), nb::arg("level"), nb::arg("threads"),
-        "Radiance of a G-buffer under lights into an image [B, 3, H, W]: of one table, or of several "
-        "by an index or by weights.");
+        nb::arg("image"), nb::arg("errors").none(), nb::arg("level"), nb::arg("threads"),
+        "Radiance of a G-buffer under lights into an image [B, 3, H, W]: of one table; of several by "
+        "an index or by weights; or of one with those of its errors (errors.h).");
     m.def(
         "shade_turned",
         [](TableOf table, WarpOf warp, const std::vector<float>& azimuths, float period, MapOf tangent,

@@ -79,6 +79,19 @@ struct Turned {
     float nodes = 0.0f;  // of one table
 };
 
+constexpr int node_floats = 16;  // of a table with errors
+
+// Standard deviations of the image, beside it (errors.h), where there are values: [U, V, W, 16], by
+// the layout of `Scene::table`, whose own values are not read. A node has f_r, the standard deviation
+// of its own error, and its changes by one standard deviation of up to three errors that all nodes
+// share, of three channels each.
+struct Errors {
+    const float* values = nullptr;
+    float *own = nullptr, *systematic = nullptr;  // [B, 3, H, W] in one piece
+    float scale = 0.0f;                           // relative, of all nodes together
+    const std::uint8_t* ends = nullptr;  // of each light: the next one's own errors are others
+};
+
 struct Scene {
     long batch = 0, rows = 0, columns = 0;
     Map normal, light, view, position, mask;  // without data where the scene has none
@@ -88,6 +101,7 @@ struct Scene {
     LitSphere sphere;                         // instead of lights, where it has values
     MirrorTable mirror;                       // the same
     Turned turned;                            // where there is a tangent
+    Errors errors;
     const Light* lights = nullptr;            // [lights, batch]
     int light_count = 0;
     bool bounded = false;  // by the tiles' positions: some light has an end

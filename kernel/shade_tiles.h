@@ -1,5 +1,6 @@
 // Tile after tile of a scene, by what it asks for.
 #pragma once
+#include "errors.h"
 #include "mirror.h"
 #include "turned.h"
 
@@ -20,6 +21,8 @@ template <class V>
 void shade_tiles(const Scene& scene, long first_tile, long last_tile) {
     if (scene.turned.tangent.data)
         each_tile<TurnedTile<V>>(scene, first_tile, last_tile, [](TurnedTile<V>& tile) { tile.shade(); });
+    else if (scene.errors.values)
+        each_tile<ErrorTile<V>>(scene, first_tile, last_tile, [](ErrorTile<V>& tile) { tile.shade(); });
     else
         each_tile<ShadedTile<V>>(scene, first_tile, last_tile, [&scene](ShadedTile<V>& tile) {
             if (scene.mirror.values)

@@ -32,6 +32,7 @@ struct Tile {
     const Scene& scene;
     const long image, row, first;
     const int width;           // pixels of the tile
+    float* target;             // the image that is written
     int count = 0;             // of these, the ones that are shaded
     bool whole = false;        // all 64
     int at[tile_pixels];       // which ones
@@ -43,7 +44,8 @@ struct Tile {
 
     Tile(const Scene& s, long b, long y, long x)
         : scene(s), image(b), row(y), first(x),
-          width(static_cast<int>(s.columns - x < tile_pixels ? s.columns - x : tile_pixels)) {}
+          width(static_cast<int>(s.columns - x < tile_pixels ? s.columns - x : tile_pixels)),
+          target(s.image) {}
 
     long start_of(const Strides& m) const { return image * m.batch + row * m.row + first * m.column; }
 
@@ -156,7 +158,7 @@ struct Tile {
     }
 
     float* pixel(int channel) const {
-        return scene.image + ((image * 3 + channel) * scene.rows + row) * scene.columns + first;
+        return target + ((image * 3 + channel) * scene.rows + row) * scene.columns + first;
     }
 
     void put(int g, const V out[3]) {

@@ -26,6 +26,7 @@ from raden_torch.brdf.materials.pearl import PEARL, is_pearl, pearl
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import DirectionalLight, Light, PointLight
+from raden_torch.brdf.shading.radiance_std import RadianceStd
 from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.brdf.shading.sphere_gbuffer import average_samples, sphere
 from raden_torch.brdf.shading.triples import Triple, as_map, check_direction
@@ -94,6 +95,30 @@ def render_shape(
     return average_samples(image, samples)
 
 
+def sphere_with_std(
+    model: Reflection,
+    lights: Sequence[Light] | None = None,
+    *,
+    camera: tuple[float, float, float] | None = None,
+    size: int = 512,
+    samples: int = 2,
+) -> tuple[Tensor, RadianceStd]:
+    """`render_shape` of a sphere, and its standard deviations: those of a pixel's rays are means,
+    since the rays read the same cells.
+
+    Raises:
+        InputError: as `shade` with `return_std`.
+    """
+    view = SHAPES["sphere"]
+    lights = lights or view.lights
+    ball = sphere(size, camera or view.camera, samples=samples)
+    with torch.no_grad():
+        image, std = shade(model, ball, lights, return_std=True)
+    warn_if_black(image, lights)
+    image, own, systematic = (average_samples(x, samples) for x in (image, std.own, std.systematic))
+    return image, RadianceStd(own, systematic)
+
+
 def _check_tangent(model: Reflection, shape: str, tangent: Triple | None) -> None:
     if tangent is None:
         return
@@ -131,16 +156,45 @@ def render_gbuffer(
     Args:
         shadowed: gives the lights their shadows, as `with_screen_shadows`.
     """
-    gbuffer = read_gbuffer(
-        path, palette=_palette(model), turns=takes_tangent(model), **vars(reading)
-    )
-    lights = lights or SHAPES["sphere"].lights
-    if shadowed is not None:
-        lights = shadowed(gbuffer, lights)
+    gbuffer, lights = _read_scene(model, path, lights, reading, shadowed)
     with torch.no_grad():
         image = shade(model, gbuffer, lights, tolerance=tolerance)
     warn_if_black(image, lights)
     return image
+
+
+def gbuffer_with_std(
+    model: Reflection,
+    path: Path,
+    lights: Sequence[Light] | None = None,
+    reading: GBufferReading = USUAL,
+    *,
+    shadowed: Shadowed | None = None,
+) -> tuple[Tensor, RadianceStd]:
+    """`render_gbuffer`, and the image's standard deviations.
+
+    Raises:
+        InputError: as `shade` with `return_std`.
+    """
+    gbuffer, lights = _read_scene(model, path, lights, reading, shadowed)
+    with torch.no_grad():
+        image, std = shade(model, gbuffer, lights, return_std=True)
+    warn_if_black(image, lights)
+    return image, std
+
+
+def _read_scene(
+    model: Reflection,
+    path: Path,
+    lights: Sequence[Light] | None,
+    reading: GBufferReading,
+    shadowed: Shadowed | None,
+) -> tuple[GBuffer, Sequence[Light]]:
+    gbuffer = read_gbuffer(
+        path, palette=_palette(model), turns=takes_tangent(model), **vars(reading)
+    )
+    lights = lights or SHAPES["sphere"].lights
+    return gbuffer, lights if shadowed is None else shadowed(gbuffer, lights)
 
 
 def _palette(model: Reflection) -> Palette | None:

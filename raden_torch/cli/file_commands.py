@@ -103,9 +103,9 @@ class PlotOptions:
     """Which graphs, and at which angles."""
 
     figure: tuple[str, ...] = ()
-    """5, 6, 7, 8, 9 or path; may be repeated; by default all"""
+    """5, 6, 7, 8, 9, path, map, colours, polar, ridge or std; may be repeated; by default all"""
     incidence_deg: float = 20.0
-    """angle held in figs 5, 6 and 9, degrees"""
+    """angle held in figs 5, 6 and 9, the maps and the polar curve, degrees"""
     tilt_deg: float = 10.0
     """angle held in fig. 5, degrees"""
     surface_tilt_deg: float = 55.0
@@ -120,7 +120,7 @@ def plot(
     output: Annotated[Path, output(".png, .svg or .pdf")],
     what: PlotOptions = PlotOptions(),
 ) -> None:
-    from raden_torch.plots import FIGURES, check_plot_path, draw, draw_comparison, save_plot
+    from raden_torch.plots import check_plot_path, draw, draw_comparison, save_plot
 
     check_plot_path(output)
     check_output(output, inputs=(file, other))
@@ -133,7 +133,7 @@ def plot(
     with working(f"drawing {file.name}"):
         sheet = draw(
             load_either(file),
-            what.figure or FIGURES,
+            what.figure or None,
             incidence_deg=what.incidence_deg,
             tilt_deg=what.tilt_deg,
             surface_tilt_deg=what.surface_tilt_deg,

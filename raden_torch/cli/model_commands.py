@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from cyclopts import Parameter
 
@@ -49,6 +49,9 @@ class FitOptions:
     outside: Literal["continued", "diffuse"] = "continued"
     """beyond the measured angles: continue what was measured, or the diffuse formula alone (the
     paper)"""
+    std: Annotated[
+        bool, switch("keep what the measurement's stated errors do, for `raden render --std`")
+    ] = False
 
     def __post_init__(self) -> None:
         if (self.diffuse_scale is None) != (self.diffuse_exponent is None):
@@ -64,6 +67,8 @@ class FitOptions:
                 "--spectral: expected without --diffuse, --diffuse-scale, --outside and "
                 "--by-azimuth, which are of a model in RGB"
             )
+        if self.std and (self.spectral or self.by_azimuth):
+            raise InputError("--std: expected without --spectral and --by-azimuth")
         if self.diffuse == "surface" and self.diffuse_scale is not None:
             raise InputError(
                 "--diffuse surface fits what --diffuse-scale sets by hand; give one of them"
@@ -157,15 +162,17 @@ def _fitted(
         return fit_spectral(
             measurement, interpolation=how.interpolation, validation=off_grid, assume=how.assume
         )
+    asked: dict[str, Any] = {
+        "diffuse": how.diffuse_part,
+        "interpolation": how.interpolation,
+        "validation": off_grid,
+        "assume": how.assume,
+        "outside": how.outside,
+    }
     try:
-        return (fit_by_azimuth if how.by_azimuth else fit_model)(
-            measurement,
-            diffuse=how.diffuse_part,
-            interpolation=how.interpolation,
-            validation=off_grid,
-            assume=how.assume,
-            outside=how.outside,
-        )
+        if how.by_azimuth:
+            return fit_by_azimuth(measurement, **asked)
+        return fit_model(measurement, **asked, std=how.std)
     except InputError as error:  # of which of several?
         raise error if is_one else InputError(f"{path}: {error}") from None
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from cyclopts import Parameter
 
@@ -30,7 +30,7 @@ from raden_torch.cli.picture_options import (
 )
 from raden_torch.cli.status import progress, without_other_inputs, working
 from raden_torch.errors import InputError
-from raden_torch.files import check_output
+from raden_torch.files import check_output, check_outputs
 from raden_torch.packages import require
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 
     from raden_torch.brdf.files.display import Display
     from raden_torch.brdf.materials.surface import Reflection
+    from raden_torch.brdf.model.model import RadenBrdf
     from raden_torch.brdf.shading.lights import Light
 
 
@@ -93,9 +94,16 @@ def render(
     ] = None,
     exr: GBufferOptions = GBufferOptions(),
     scene: SceneOptions = SceneOptions(),
+    std: Annotated[
+        Path | None,
+        Parameter(
+            help="also write the picture's standard deviations, of a model of `raden fit --std`: "
+            "a map in percent (.png, .svg or .pdf), or linear layers own and systematic (.exr)"
+        ),
+    ] = None,
 ) -> None:
     if model.suffix.lower() == ".toml":
-        own = (light, around, spectrum, gbuffer, exr, shape.shape, shape.camera)
+        own = (light, around, spectrum, gbuffer, exr, shape.shape, shape.camera, std)
         _render_scene(model, output, display, shape, scene, is_plain=own == _NO_SCENE_OF_ITS_OWN)
         return
     if scene != SceneOptions():
@@ -109,7 +117,13 @@ def render(
     lights = [*_lights(light), *around.lights()]
     if gbuffer is None:
         exr.check_without_gbuffer()
+    if std is not None:
+        _check_std(std, output, read, shape, exr)
     loaded = load_material(model, spectrum.illuminant, spectrum.white)
+    if std is not None:
+        used = _render_with_std(loaded, gbuffer, (output, std), lights, exr, shape, shown_by)
+        print(f"wrote {output} (exposure {used:+.2f} stops)\nwrote {std}")
+        return
     if gbuffer is None:
         with working("rendering"):
             image = shape.image(loaded, lights, exr.tangent)
@@ -154,9 +168,64 @@ def _render_gbuffer(
         return save_picture(image, output, model, display=shown_by)
 
 
+def _check_std(
+    std: Path,
+    output: Path,
+    read: Sequence[Path | None],
+    shape: ShapeOptions,
+    exr: GBufferOptions,
+) -> None:
+    check_outputs(output, std, inputs=read)
+    if std.suffix.lower() != ".exr":
+        from raden_torch.plots import PLOT_SUFFIXES
+
+        check_output(std, (*PLOT_SUFFIXES, ".exr"))
+    if shape.shape != "sphere":
+        raise InputError(f"--std: expected the shape sphere, or --gbuffer, got {shape.shape}")
+    if exr.memory != GBufferOptions().memory or exr.tolerance:
+        raise InputError("--std: expected without --memory and --tolerance, got one of them")
+
+
+def _render_with_std(
+    model: Reflection,
+    gbuffer: Path | None,
+    outputs: tuple[Path, Path],
+    lights: Sequence[Light],
+    exr: GBufferOptions,
+    shape: ShapeOptions,
+    shown_by: Display,
+) -> float:
+    """The stops that the picture was exposed by."""
+    from raden_torch.pictures import gbuffer_with_std, save_picture, sphere_with_std
+
+    output, std_path = outputs
+    with working("rendering"):
+        if gbuffer is None:
+            size, samples = shape.size or 512, shape.samples or 2
+            image, std = sphere_with_std(
+                model, lights, camera=shape.camera, size=size, samples=samples
+            )
+        else:
+            reading = exr.reading
+            if shape.camera is not None:
+                reading = replace(reading, camera=shape.camera)
+            lights = [reading.light(light) for light in lights]
+            image, std = gbuffer_with_std(model, gbuffer, lights, reading, shadowed=exr.shadowed)
+        used = save_picture(image, output, model, display=shown_by)
+        if std_path.suffix.lower() == ".exr":
+            from raden_torch.brdf.files.exr_tensors import write_std
+
+            write_std(std, std_path)
+        else:
+            from raden_torch.plots import draw_std, save_plot
+
+            save_plot(draw_std(image, std, cast("RadenBrdf", model).provenance), std_path)
+    return used
+
+
 _NO_SCENE_OF_ITS_OWN = (
     *((), EnvironmentOptions(), SpectrumOptions(), None),
-    *(GBufferOptions(), "sphere", None),
+    *(GBufferOptions(), "sphere", None, None),
 )
 """`render`'s options that a scene file says itself, as they are where none is given."""
 

@@ -93,6 +93,11 @@ def describe_model(model: RadenBrdf) -> str:
         )
     lines.append(f"gains: I_d = {model.diffuse_gain:g}, I_s = {model.specular_gain:g}")
     lines.append(f"measurement sha256: {about.measurement_sha256 or 'not known'}")
+    if model.errors is not None:
+        zeros, scale = len(model.errors.shared), 100 * model.errors.scale_std
+        lines.append(
+            f"standard deviations: own errors, zeros of {zeros} axes, a scale of {scale:.3g} %"
+        )
     lines += [f"warning: {text}" for text in about.fit.get("warnings", ())]
     return "\n".join(lines)
 

@@ -7,14 +7,15 @@ reflecting diffuser = 100.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 
 from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.model.runtime_table import address_of_angles, read_at
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
 from raden_torch.measurement.readings import FACTOR_PER_SR
 
@@ -44,12 +45,22 @@ class Cut:
         values: `[..., 3]`; NaN where not measured.
         held: the held angles in words, as really found.
         joined: neighbours in the arrays are neighbours in angle.
+        std: `[..., 3]`, by all errors but the scale's; None where none are stated.
     """
 
     deg: dict[str, Floats]
     values: Floats
     held: str
     joined: bool = True
+    std: Floats | None = None
+
+    def along(self, tilt: Any) -> Cut:
+        """Of a cut over incidence × tilt, one tilt; of scattered readings, some of them."""
+        at = (..., tilt) if self.joined else tilt
+        deg = {name: angle[at] for name, angle in self.deg.items()}
+        pick = (slice(None), tilt) if self.joined else tilt
+        std = None if self.std is None else self.std[pick]
+        return replace(self, deg=deg, values=self.values[pick], std=std)
 
 
 class Samples(Protocol):
@@ -78,6 +89,8 @@ class GridSamples:
     """A measurement on a grid; a held angle is taken at the nearest node with valid readings."""
 
     grid: ReadingGrid
+    std: Floats | None = None
+    """`[A, R, T, 3]`, as `grid.values`."""
 
     def cut(self, free: Sequence[str], held: Mapping[str, float]) -> Cut:
         axes = dict(zip(ANGLES, self.grid.axes_deg, strict=True))
@@ -95,14 +108,16 @@ class GridSamples:
         mesh = np.meshgrid(*self.grid.axes_deg, indexing="ij")
         real = {name: float(axes[name][node[ANGLES.index(name)]]) for name in held}
         deg = {name: mesh[i][pick] for i, name in enumerate(ANGLES)}
-        return Cut(deg, self.grid.values[pick], in_words(real))
+        std = None if self.std is None else self.std[pick]
+        return Cut(deg, self.grid.values[pick], in_words(real), std=std)
 
     def mirror(self) -> Cut:
         incidence, receiving, tilt = self.grid.axes_deg
         i, j = np.nonzero(abs(incidence[:, None] - receiving) <= _SAME_DEG)
         a, t = np.meshgrid(incidence[i], tilt, indexing="ij")
         r = np.broadcast_to(receiving[j, None], a.shape)
-        return _mirror_cut((a, r, t), self.grid.values[i, j], joined=True)
+        std = None if self.std is None else self.std[i, j]
+        return _mirror_cut((a, r, t), self.grid.values[i, j], joined=True, std=std)
 
     def limits(self, angle: str) -> tuple[float, float]:
         return _range(self.grid.axes_deg[ANGLES.index(angle)])
@@ -126,12 +141,16 @@ class ScatteredSamples:
         _check_many({name: deg[name][use] for name in free})
         real = {name: float(np.mean(deg[name][use])) for name in held}
         picked = {name: column[use] for name, column in deg.items()}
-        return Cut(picked, self.readings.values[use], in_words(real, about=True), joined=False)
+        std = None if self.readings.std is None else self.readings.std[use]
+        values = self.readings.values[use]
+        return Cut(picked, values, in_words(real, about=True), joined=False, std=std)
 
     def mirror(self) -> Cut:
         a, r, t = self._angles().values()
         use = (abs(a - r) <= SLAB_DEG) & self.readings.valid
-        return _mirror_cut((a[use], r[use], t[use]), self.readings.values[use], joined=False)
+        std = None if self.readings.std is None else self.readings.std[use]
+        values = self.readings.values[use]
+        return _mirror_cut((a[use], r[use], t[use]), values, joined=False, std=std)
 
     def limits(self, angle: str) -> tuple[float, float]:
         return _range(self._angles()[angle])
@@ -156,7 +175,8 @@ class ModelSamples:
         mesh = np.meshgrid(*axes, indexing="ij")
         shape = [len(axis) for axis, name in zip(axes, ANGLES, strict=True) if name in free]
         deg = {name: m.reshape(shape) for name, m in zip(ANGLES, mesh, strict=True)}
-        return Cut(deg, model_factors(self.model, deg), in_words(held))
+        values, std = model_factors(self.model, deg), model_std(self.model, deg)
+        return Cut(deg, values, in_words(held), std=std)
 
     def mirror(self) -> Cut:
         a_low, a_high = self.limits("incidence")
@@ -166,8 +186,9 @@ class ModelSamples:
             raise NotMeasuredError("needs readings at receiving = incidence")
         t_low, t_high = self.limits("tilt")
         a, t = np.meshgrid(_steps(low, high), _steps(t_low, t_high), indexing="ij")
-        values = model_factors(self.model, {"incidence": a, "receiving": a, "tilt": t})
-        return _mirror_cut((a, a, t), values, joined=True)
+        deg = {"incidence": a, "receiving": a, "tilt": t}
+        values, std = model_factors(self.model, deg), model_std(self.model, deg)
+        return _mirror_cut((a, a, t), values, joined=True, std=std)
 
     def limits(self, angle: str) -> tuple[float, float]:
         if self.model.table is None:
@@ -187,21 +208,38 @@ class ModelSamples:
 
 def model_factors(model: RadenBrdf, deg: Mapping[str, Floats]) -> Floats:
     """`[..., 3]` reflectance factors of a model at angles in degrees, computed in float64."""
-    shape = deg["tilt"].shape
+    with torch.no_grad():
+        f_r = model.fit_form(*_angles_of(model, deg))[:, :, 0]
+    return f_r.T.cpu().numpy().reshape(*deg["tilt"].shape, 3) * FACTOR_PER_SR
+
+
+def model_std(model: RadenBrdf, deg: Mapping[str, Floats]) -> Floats | None:
+    """`[..., 3]` their standard deviations by all errors but the scale's; None of a model that
+    knows none."""
+    if model.errors is None:
+        return None
+    at = address_of_angles(model.layout.warp, *_angles_of(model, deg))
+    found = read_at(model.errors.channels.double(), *at)[:, :, 0].T.cpu().numpy()
+    std = np.sqrt((found.reshape(len(found), -1, 3) ** 2).sum(1))
+    return std.reshape(*deg["tilt"].shape, 3) * FACTOR_PER_SR
+
+
+def _angles_of(model: RadenBrdf, deg: Mapping[str, Floats]) -> list[torch.Tensor]:
+    """Incidence, receiving and tilt, `[1, M, 1]` in radians, where the model is."""
     device = next(iter(model.parameters()), torch.zeros(())).device
-    angles = (
+    return [
         torch.tensor(np.deg2rad(deg[name]).reshape(1, -1, 1), dtype=torch.float64, device=device)
         for name in ANGLES
-    )
-    with torch.no_grad():
-        f_r = model.fit_form(*angles)[:, :, 0]
-    return f_r.T.cpu().numpy().reshape(*shape, 3) * FACTOR_PER_SR
+    ]
 
 
-def _mirror_cut(angles: tuple[Floats, Floats, Floats], values: Floats, *, joined: bool) -> Cut:
+def _mirror_cut(
+    angles: tuple[Floats, Floats, Floats], values: Floats, *, joined: bool, std: Floats | None
+) -> Cut:
     if np.isnan(values).all():
         raise NotMeasuredError("needs readings at receiving = incidence")
-    return Cut(dict(zip(ANGLES, angles, strict=True)), values, "receiving = incidence", joined)
+    deg = dict(zip(ANGLES, angles, strict=True))
+    return Cut(deg, values, "receiving = incidence", joined, std)
 
 
 def _check_many(axes: Mapping[str, Floats]) -> None:

@@ -1,4 +1,4 @@
-"""Reflectance along one angle: the paper's figures 5 and 6."""
+"""Reflectance along one angle: the paper's figures 5 and 6, and the mirror ridge."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.plots.cuts import OUTSIDE_DEG, Cut, NotMeasuredError
+from raden_torch.plots.cuts import OUTSIDE_DEG, SLAB_DEG, Cut, NotMeasuredError
 from raden_torch.plots.plot_style import (
     FACTOR_LABEL,
     FAINT,
@@ -16,6 +16,8 @@ from raden_torch.plots.plot_style import (
     SMALL,
     TEXT,
     UNMEASURED,
+    Curve,
+    cell_edges,
     curves,
     finish,
     say_missing,
@@ -55,8 +57,9 @@ def plot_in_plane(
     _mark_box(ax, view, "receiving")
     finish(ax, f"{title}, {cut.held}", "", FACTOR_LABEL)
     ax.tick_params(labelbottom=False)
-    ax.set_xlim(*_cell_edges(angle)[[0, -1]])
+    ax.set_xlim(*cell_edges(angle)[[0, -1]])
     _from_zero(ax, cut)
+    say_band(ax, cut)
     # finding the best place among many loose dots is slow, and Matplotlib warns of it
     ax.legend(fontsize=SMALL, frameon=False, loc="best" if cut.joined else "upper right")
     _strip(ax, view, cut)
@@ -91,16 +94,67 @@ def plot_over_tilt(
     _draw_tilt_fit(ax, view, cut)
     _mark_box(ax, view, "tilt")
     finish(ax, f"{title}, {cut.held}", "tilt t (deg)", FACTOR_LABEL)
-    ax.set_xlim(*_cell_edges(tilt)[[0, -1]])
+    ax.set_xlim(*cell_edges(tilt)[[0, -1]])
     low, high = ax.get_ylim()
     ax.set_ylim(top=high + 0.3 * (high - low))  # room for the legend
     _from_zero(ax, cut)
+    say_band(ax, cut)
     ax.legend(fontsize=SMALL, frameon=False, loc="upper center", ncols=2)
+
+
+def plot_ridge(ax: Axes, source: BrdfMeasurement | RadenBrdf | View) -> None:
+    """R, G and B along the mirror ridge, receiving = incidence, at the tilt nearest to 0, with true
+    colour; the dashed line is the brightest tilt's G (or the one band's)."""
+    view, title = view_of(source), "Ridge: receiving = incidence"
+    try:
+        ridge = view.samples.mirror()
+    except NotMeasuredError as why:
+        say_missing(ax, title, str(why))
+        return
+    tilt = ridge.deg["tilt"]
+    if ridge.joined:
+        lines = np.flatnonzero((~np.isnan(ridge.values[..., 0])).sum(0) >= 2)
+        if not len(lines):
+            say_missing(ax, title, "needs two valid readings side by side")
+            return
+        at = lines[np.argmin(abs(tilt[0, lines]))]
+        cut = ridge.along(at)
+        _draw_data(ax, view, cut.deg["incidence"], cut)
+        peak = lines[np.nanargmax(np.nanmax(ridge.values[:, lines, view.shown], axis=0))]
+        if peak != at:
+            most = ridge.along(peak)
+            ax.plot(
+                most.deg["incidence"],
+                most.values[..., view.shown],
+                color=INK,
+                linewidth=1,
+                linestyle="--",
+                label=f"{curves(view)[view.shown].name} at tilt {tilt[0, peak]:g}°".replace(
+                    "-", "−"
+                ),
+            )
+        at_tilt = f"tilt {tilt[0, at]:g}°".replace("-", "−")
+    else:
+        near = abs(tilt) <= SLAB_DEG
+        if near.sum() < 2:
+            say_missing(ax, title, f"needs readings within {SLAB_DEG:g}° of tilt 0")
+            return
+        cut = ridge.along(near)
+        _draw_data(ax, view, cut.deg["incidence"], cut)
+        at_tilt = f"tilt within {SLAB_DEG:g}° of 0°"
+    finish(ax, f"{title}, {at_tilt}", "", FACTOR_LABEL)
+    ax.tick_params(labelbottom=False)
+    ax.set_xlim(*cell_edges(cut.deg["incidence"])[[0, -1]])
+    _from_zero(ax, cut)
+    say_band(ax, cut)
+    ax.legend(fontsize=SMALL, frameon=False, loc="best" if cut.joined else "upper right")
+    _strip(ax, view, cut, "incidence", "a = r")
 
 
 def _draw_data(ax: Axes, view: View, x: Floats, cut: Cut) -> None:
     """Lines for a model, dots joined by thin lines for nodes, dots alone for scattered readings."""
     for curve in curves(view):
+        draw_band(ax, x, cut, curve)
         ax.plot(
             x,
             cut.values[..., curve.channel],
@@ -110,6 +164,27 @@ def _draw_data(ax: Axes, view: View, x: Floats, cut: Cut) -> None:
             linestyle="-" if cut.joined else "none",
             linewidth=1.6 if view.is_model else 0.9,
             label=curve.name,
+        )
+
+
+def draw_band(ax: Axes, x: Floats, cut: Cut, curve: Curve) -> None:
+    """± 1 standard deviation, all errors but the scale's: a band, or bars of scattered readings."""
+    if cut.std is None:
+        return
+    value, std = cut.values[..., curve.channel], cut.std[..., curve.channel]
+    if cut.joined:
+        ax.fill_between(x, value - std, value + std, color=curve.colour, alpha=0.22, linewidth=0)
+    else:
+        ax.errorbar(x, value, std, fmt="none", ecolor=curve.colour, elinewidth=0.7, alpha=0.6)
+
+
+def say_band(ax: Axes, cut: Cut) -> None:
+    """What the bands are, where there are some."""
+    if cut.std is not None:
+        what = "bands" if cut.joined else "bars"
+        text = f"{what}: ± 1 std, without the scale's"
+        ax.text(
+            0.99, 0.02, text, transform=ax.transAxes, ha="right", fontsize=SMALL - 1, color="0.4"
         )
 
 
@@ -154,24 +229,18 @@ def _mark_box(ax: Axes, view: View, angle: str) -> None:
     )
 
 
-def _cell_edges(angle: Floats) -> Floats:
-    """Where the cells around the sorted angles meet, and where the first and last end."""
-    x = np.sort(angle)
-    middle = (x[1:] + x[:-1]) / 2
-    ends = np.clip([2 * x[0] - middle[0], 2 * x[-1] - middle[-1]], -90.0, 90.0)
-    return np.concatenate([ends[:1], middle, ends[1:]])
-
-
-def _strip(ax: Axes, view: View, cut: Cut) -> None:
-    """True colour along the receiving axis, exposed so that the largest value is white."""
+def _strip(ax: Axes, view: View, cut: Cut, over: str = "receiving", symbol: str = "r") -> None:
+    """True colour along an axis, exposed so that the largest value is white."""
     strip = ax.inset_axes((0, -0.13, 1, 0.09))
     strip.sharex(ax)
-    order = np.argsort(cut.deg["receiving"])
+    order = np.argsort(cut.deg[over])
     strip.set_facecolor(UNMEASURED)
-    edges = _cell_edges(cut.deg["receiving"])
+    edges = cell_edges(cut.deg[over])
     strip.pcolormesh(edges, [0, 1], true_colour(cut.values[order])[None])
     strip.set_yticks([])
     strip.tick_params(labelsize=SMALL)
     strip.spines[:].set_color(FAINT)
     shown = "brightness" if view.colourless else "true colour"
-    strip.set_xlabel(f"receiving r (deg); strip: {shown}, exposed to the maximum", fontsize=TEXT)
+    strip.set_xlabel(
+        f"{over} {symbol} (deg); strip: {shown}, exposed to the maximum", fontsize=TEXT
+    )

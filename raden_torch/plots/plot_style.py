@@ -88,6 +88,14 @@ def finish(ax: Axes, title: str, x_label: str, y_label: str) -> None:
     ax.set_axisbelow(True)
 
 
+def cell_edges(angle: Floats) -> Floats:
+    """Where the cells around the sorted angles meet, and where the first and last end."""
+    x = np.sort(angle)
+    middle = (x[1:] + x[:-1]) / 2
+    ends = np.clip([2 * x[0] - middle[0], 2 * x[-1] - middle[-1]], -90.0, 90.0)
+    return np.concatenate([ends[:1], middle, ends[1:]])
+
+
 def say_missing(ax: Any, title: str, text: str) -> None:
     """An empty panel that says what it lacks."""
     ax.set_title(title, fontsize=TEXT + 1, loc="left", color=INK)

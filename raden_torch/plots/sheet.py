@@ -21,16 +21,20 @@ from raden_torch.files import written_beside
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.plots.chromaticity import plot_path
 from raden_torch.plots.cuts import ANGLE_LIMITS_DEG
-from raden_torch.plots.lines import plot_in_plane, plot_over_tilt
+from raden_torch.plots.lines import plot_in_plane, plot_over_tilt, plot_ridge
+from raden_torch.plots.maps import plot_colour_map, plot_map, plot_std
 from raden_torch.plots.plot_style import INK, TEXT, families, printable
+from raden_torch.plots.polar import plot_polar
 from raden_torch.plots.surfaces import plot_diffuse_surface, plot_specular_surface
 from raden_torch.plots.view import View, view_of
 
-FIGURES = ("5", "6", "7", "8", "9", "path")
-"""The paper's figures 5 to 9, and the iridescence path."""
+FIGURES = ("5", "6", "7", "8", "9", "path", "map", "colours", "polar", "ridge", "std")
+"""The paper's figures 5 to 9, the iridescence path, maps over receiving × tilt, the polar curve,
+the mirror ridge, and the map of standard deviations."""
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
-_SURFACES = ("7", "8", "9")
+_PROJECTIONS = {"7": "3d", "8": "3d", "9": "3d", "polar": "polar"}
+_MAPS = {"map": plot_map, "colours": plot_colour_map, "std": plot_std}
 _COLUMNS = 2
 _PANEL_INCHES = (6.4, 4.5)
 _HEAD_INCHES = 0.6
@@ -40,7 +44,7 @@ _LETTERS_PER_INCH = 10.5  # of the head
 
 def draw(
     source: BrdfMeasurement | RadenBrdf,
-    figures: Sequence[str] = FIGURES,
+    figures: Sequence[str] | None = None,
     *,
     incidence_deg: float = 20.0,
     tilt_deg: float = 10.0,
@@ -52,8 +56,9 @@ def draw(
 
     Args:
         source: a measurement (its nodes nearest to the angles are drawn, and named) or a model.
-        figures: of `FIGURES`.
-        incidence_deg: held in figures 5, 6 and 9; the path's tilt is the brightest there.
+        figures: of `FIGURES`; all where None, but for "std" of what states no errors.
+        incidence_deg: held in figures 5, 6 and 9, the maps and the polar curve; the path's tilt is
+            the brightest there.
         tilt_deg: held in figure 5.
         surface_tilt_deg: held in figures 7 and 8.
         receiving_deg: held in figure 6; where None, 40° away from the mirror.
@@ -62,7 +67,7 @@ def draw(
     Raises:
         InputError: an unknown figure, an angle out of range, or no valid reading.
     """
-    wanted = _check_figures(figures)
+    wanted = FIGURES if figures is None else _check_figures(figures)
     at = {
         "incidence_deg": incidence_deg,
         "tilt_deg": tilt_deg,
@@ -74,6 +79,8 @@ def draw(
     view = view_of(source)
     if diffuse is not None:
         view = replace(view, by_hand=diffuse)
+    if figures is None and not view.has_std:
+        wanted = tuple(name for name in wanted if name != "std")
     figure, axes = _empty_sheet(wanted)
     for name, ax in zip(wanted, axes, strict=True):
         _draw_panel(name, ax, view, at, receiving_deg)
@@ -111,8 +118,14 @@ def _draw_panel(
         plot_diffuse_surface(ax, view, tilt_deg=surface_tilt_deg, fit=name == "8")
     elif name == "9":
         plot_specular_surface(ax, view, incidence_deg=incidence_deg)
-    else:
+    elif name == "path":
         plot_path(ax, view, incidence_deg=incidence_deg)
+    elif name == "polar":
+        plot_polar(ax, view, incidence_deg=incidence_deg)
+    elif name == "ridge":
+        plot_ridge(ax, view)
+    else:
+        _MAPS[name](ax, view, incidence_deg=incidence_deg)
 
 
 def _check_figures(figures: Sequence[str]) -> tuple[str, ...]:
@@ -133,14 +146,14 @@ def _check_angle(name: str, angle: float) -> None:
 
 
 def _empty_sheet(wanted: tuple[str, ...]) -> tuple[Figure, list[Any]]:
-    """A figure on the Agg canvas, with ordinary or 3-D axes a panel."""
+    """A figure on the Agg canvas, with ordinary, 3-D or polar axes a panel."""
     columns = min(_COLUMNS, len(wanted))
     rows = -(-len(wanted) // columns)
     width, height = columns * _PANEL_INCHES[0], rows * _PANEL_INCHES[1] + _HEAD_INCHES
     figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = [
-        figure.add_subplot(rows, columns, i + 1, projection="3d" if name in _SURFACES else None)
+        figure.add_subplot(rows, columns, i + 1, projection=_PROJECTIONS.get(name))
         for i, name in enumerate(wanted)
     ]
     return figure, axes

@@ -52,6 +52,13 @@ class View:
         return isinstance(self.source, RadenBrdf)
 
     @property
+    def has_std(self) -> bool:
+        """Whether standard deviations are stated, or kept of those that were."""
+        if isinstance(self.source, RadenBrdf):
+            return self.source.errors is not None
+        return self.source.std is not None
+
+    @property
     def sample(self) -> str:
         source = self.source
         about = source.provenance if isinstance(source, RadenBrdf) else source.metadata
@@ -107,12 +114,21 @@ def view_of(source: BrdfMeasurement | RadenBrdf | View) -> View:
         raise InputError("plot: expected a measurement with a valid reading, got none")
     readings, bands, colourless = _coloured(source)
     try:
-        return View(source, GridSamples(readings.grid()), bands, colourless)
+        return View(source, GridSamples(readings.grid(), _std_on_grid(readings)), bands, colourless)
     except InputError:
         azimuth = source.azimuth_deg
         mixed = azimuth is not None and np.ptp(azimuth) > 0
         note = "scattered readings" + (", all sample azimuths together" if mixed else "")
         return View(source, ScatteredSamples(readings), bands, colourless, note)
+
+
+def _std_on_grid(readings: BrdfMeasurement) -> Floats | None:
+    """`[A, R, T, 3]`, as the grid's values; NaN where none is stated."""
+    if readings.std is None:
+        return None
+    known = readings.valid & np.isfinite(readings.std).all(axis=1)
+    std = np.where(known[:, None], readings.std, np.nan)
+    return replace(readings, values=std, std=None, valid=known).grid().values
 
 
 def _coloured(source: BrdfMeasurement) -> tuple[BrdfMeasurement, tuple[str, ...], str]:

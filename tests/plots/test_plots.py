@@ -370,11 +370,11 @@ BAD: dict[str, tuple[Callable[[BrdfMeasurement], Any], str]] = {
     "folder": (lambda m: save_plot(Figure(), "none/plot.png"), "expected an existing folder"),
     "figure": (
         lambda m: draw(m, ("5", "10")),
-        "figure: expected one of 5, 6, 7, 8, 9, path, got '10'",
+        "figure: expected one of 5, 6, 7, 8, 9, path, map, colours, polar, ridge, std, got '10'",
     ),
-    "figures: expected some of 5, 6, 7, 8, 9, path, got none": (
+    "figures: expected some of 5, 6, 7, 8, 9, path, map, colours, polar, ridge, std, got none": (
         lambda m: draw(m, ()),
-        "figures: expected some of 5, 6, 7, 8, 9, path, got none",
+        "figures: expected some of 5, 6, 7, 8, 9, path, map, colours, polar, ridge, std, got none",
     ),
     "incidence": (
         lambda m: draw(m, incidence_deg=-1),

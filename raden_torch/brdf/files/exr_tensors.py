@@ -12,6 +12,7 @@ from torch import Tensor
 
 from raden_torch.brdf.files.normal_coding import Evidence
 from raden_torch.brdf.shading.depth import LARGEST_HALF
+from raden_torch.brdf.shading.radiance_std import RadianceStd
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
 from raden_torch.images.exr_file import ExrFile, Key
@@ -55,6 +56,18 @@ def write_image(
     if image.ndim != 4 or image.shape[:2] != (1, 3):
         raise InputError(f"{path}: image: expected shape [1, 3, H, W], got {list(image.shape)}")
     write_channels(path, in_halves(image), half=True, chromaticities=chromaticities)
+
+
+def write_std(std: RadianceStd, path: str | os.PathLike[str]) -> None:
+    """Write standard deviations `[1, 3, H, W]` as an EXR of 32-bit floats, in the image's unit: the
+    layers `own` and `systematic`, of R, G and B each."""
+    layers = {"own": std.own, "systematic": std.systematic}
+    channels = {
+        f"{name}.{channel}": plane.detach().float().cpu().numpy()
+        for name, image in layers.items()
+        for channel, plane in zip("RGB", image[0], strict=True)
+    }
+    write_channels(path, channels)
 
 
 def in_halves(image: Tensor) -> dict[str, NDArray[np.float16]]:

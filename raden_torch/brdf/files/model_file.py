@@ -27,6 +27,7 @@ from raden_torch.brdf.model.layout_choice import choose_layout
 from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
+from raden_torch.brdf.model.table_errors import TableErrors
 from raden_torch.errors import InputError, check_type
 from raden_torch.files import check_output, check_seekable, written_beside
 
@@ -53,6 +54,7 @@ class _About:
     step_deg: tuple[float, float, float] | None = None
     pieces: Pieces | None = None
     runtime: RuntimeLayout | None = None
+    scale_std: float = 0.0
 
 
 def save_model(model: Reflection | SpectralBrdf, path: str | os.PathLike[str]) -> None:
@@ -129,6 +131,8 @@ def describe(model: RadenBrdf) -> dict[str, Any]:
         about["first_deg"] = model.table.first_deg
         about["step_deg"] = model.table.step_deg
         about["pieces"] = model.table.pieces
+    if model.errors is not None:
+        about["scale_std"] = model.errors.scale_std
     return about
 
 
@@ -307,6 +311,13 @@ def assemble(
         provenance=said.provenance,
     )
     model.layout = said.runtime or choose_layout(model)  # older files have none
+    if "errors.own" in tensors:
+        model.errors = TableErrors(tensors["errors.own"], tensors["errors.shared"], said.scale_std)
+        if tuple(model.errors.own.shape[:3]) != model.layout.shape:
+            raise InputError(
+                f"{where}: errors: expected {list(model.layout.shape)} nodes, as the runtime table "
+                f"has, got {list(model.errors.own.shape[:3])}"
+            )
     return model
 
 

@@ -10,6 +10,7 @@ import torch
 
 from raden_torch.arrays import Floats
 from raden_torch.brdf.fitting.diffuse_fit import FITS, DiffuseParameters, fit_diffuse
+from raden_torch.brdf.fitting.error_tables import check_errors, error_tables
 from raden_torch.brdf.fitting.fit_report import BY_HAND, FitReport, make_report
 from raden_torch.brdf.fitting.interpolated_table import choose_interpolation, make_table
 from raden_torch.brdf.fitting.tabulate import MAX_CELLS, Tabulated, tabulate
@@ -38,6 +39,7 @@ def fit(
     validation: BrdfMeasurement | None = None,
     assume: str | None = None,
     outside: str = "continued",
+    std: bool = False,
 ) -> FitResult:
     """Fit the model of Take (2012) to a measurement.
 
@@ -60,6 +62,8 @@ def fit(
         outside: what stands beyond the measured angles: "continued", what was measured continues
             to the horizon (`reflectance.continuation`), unless so large a table would be too
             large, which the report warns of; "diffuse", the paper's rule, eq. (6) alone.
+        std: also find what the measurement's standard deviations do to the model, `model.errors`,
+            which `shade(…, return_std=True)` reads; three to ten times the time of the fit.
 
     Returns:
         The model (float32, on the CPU) and a report.
@@ -68,7 +72,8 @@ def fit(
         InputError: fewer than two values on an axis, unless assumed isotropic; no valid reading, a
             table too large; an interpolation or assumption that is not known or that the readings
             do not support; validation readings that are too few or outside the box; too few
-            readings off the highlight to fit the surface to.
+            readings off the highlight to fit the surface to; with `std`, readings that state no
+            standard deviation, or that do not fill a grid by themselves.
 
     Examples:
         >>> import raden_torch as rt
@@ -85,7 +90,7 @@ def fit(
         outside = "diffuse"
         why = f"{size}: outside the measured box the diffuse part stands alone"
         table = replace(table, warnings=(*table.warnings, why))
-    return _fitted(measurement, table, diffuse, interpolation, validation, outside)
+    return _fitted(measurement, table, diffuse, interpolation, validation, outside, std)
 
 
 def _check(measurement: BrdfMeasurement, diffuse: DiffuseParameters | str, outside: str) -> None:
@@ -105,8 +110,10 @@ def _fitted(
     interpolation: str,
     validation: BrdfMeasurement | None,
     outside: str,
+    std: bool,
 ) -> FitResult:
     """`fit` of a table of the measurement's readings."""
+    parts = check_errors(measurement, table) if std else None
     parameters = (
         fit_diffuse(*for_diffuse(table), to=diffuse) if isinstance(diffuse, str) else diffuse
     )
@@ -119,6 +126,8 @@ def _fitted(
     report = make_report(
         measurement, table, model, parameters, chosen, diffuse_fit=fitted_to, outside=outside
     )
+    if parts is not None:
+        model.errors = error_tables(measurement, parts, model, total, chosen.scheme, outside)
     meta = measurement.metadata
     model.provenance = Provenance(
         meta.sample, meta.instrument, meta.simulated, measurement.sha256, report.as_dict()

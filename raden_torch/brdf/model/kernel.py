@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import torch
 from torch import Tensor
@@ -198,6 +198,33 @@ def shade(
     return torch.ops.raden_torch.shade(*maps, model.runtime_table(), model.layout.warp)
 
 
+def shade_with_errors(
+    nodes: Tensor,
+    warp: tuple[float, float],
+    maps: tuple[Tensor | None, ...],
+    scale_std: float,
+    ends: Sequence[bool],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The radiance of a G-buffer and its standard deviations by the CPU's kernel; `takes` has to
+    agree first.
+
+    Args:
+        nodes: `[U, V, W, 16]` float32: f_r, the standard deviation of a node's own error, and its
+            change by one standard deviation of each of three errors that all nodes share, in R, G
+            and B each; the last number is not looked at.
+        maps: normal, layers, view, position, camera, mask and lights, as `shade` takes them.
+        scale_std: relative, of all values together.
+        ends: of each light, whether the next one's own errors are others.
+
+    Returns:
+        `[B, 3, H, W]` each: the image; its standard deviation by own errors, and by shared ones.
+    """
+    b, h, w = _image_size(*cast(Any, maps))
+    own, shared = (torch.empty((b, 3, h, w), dtype=torch.float32, device=_CPU) for _ in range(2))
+    of = nodes.data_ptr(), own.data_ptr(), shared.data_ptr(), scale_std, list(map(int, ends))
+    return _shade_by(maps, [nodes], warp, None, of), own, shared
+
+
 def shade_several(
     models: Sequence[RadenBrdf | None],
     choice: Tensor,
@@ -278,6 +305,7 @@ def _shade_by(
     tables: Sequence[Tensor | None],
     warps: Sequence[float],
     choice: Tensor | None,
+    errors: tuple[Any, ...] | None = None,
 ) -> Tensor:
     normal, layers, view, position, camera, mask, lights = arguments
     b, h, w = _image_size(*arguments)
@@ -303,6 +331,7 @@ def _shade_by(
         len(lamps),
         (b, h, w),
         image.data_ptr(),
+        errors,
         _level(),
         torch.get_num_threads(),
     )

@@ -16,6 +16,7 @@ from raden_torch.brdf.model.diffuse import diffuse
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.model.runtime_bake import bake
 from raden_torch.brdf.model.runtime_table import RuntimeLayout, address_of_angles, read, read_at
+from raden_torch.brdf.model.table_errors import TableErrors
 from raden_torch.errors import InputError, check_type
 
 
@@ -77,6 +78,8 @@ class RadenBrdf(nn.Module):
         diffuse_gain, specular_gain: I_d and I_s of eq. (2), finite numbers that may be set.
         layout: the nodes of the runtime table.
         provenance: what the model was fitted to.
+        errors: what the errors of that measurement do to the runtime table, where `fit` was asked
+            for it; else None.
 
     Examples:
         >>> import torch
@@ -102,6 +105,7 @@ class RadenBrdf(nn.Module):
         specular_gain: float | Tensor = 1.0,
         layout: RuntimeLayout = DEFAULT_LAYOUT,
         provenance: Provenance | None = None,
+        errors: TableErrors | None = None,
     ) -> None:
         super().__init__()
         self.layout = layout
@@ -110,6 +114,7 @@ class RadenBrdf(nn.Module):
         self.diffuse_gain = diffuse_gain
         self.specular_gain = specular_gain
         self.provenance = provenance or Provenance()
+        self.errors = errors
 
     def __setattr__(self, name: str, value: Any) -> None:
         if name in ("diffuse_gain", "specular_gain"):

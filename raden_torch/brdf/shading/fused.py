@@ -51,7 +51,7 @@ def shade_one(
         return None
     trades = tolerance > 0 and gbuffer.normal.device.type in ("cpu", "cuda")
     bound = model.upper_bound() if trades else None
-    inputs = _inputs(gbuffer, lights, bound, tolerance, kept)
+    inputs = kernel_inputs(gbuffer, lights, bound, tolerance, kept)
     if inputs is None or not kernel.takes(model, *inputs):
         return None
     normal, layers, view, position, camera, mask, lamps = inputs
@@ -90,7 +90,7 @@ def shade_several(
     bound = None
     if tolerance > 0:
         bound = torch.stack([model.upper_bound().float() for model in read]).amax(0)
-    inputs = _inputs(gbuffer, lights, bound, tolerance)
+    inputs = kernel_inputs(gbuffer, lights, bound, tolerance)
     if inputs is None or not all(kernel.takes(model, *inputs) for model in read):
         return None
     _check(cast(Tensor, inputs[0]), cast(Tensor, inputs[-1]))
@@ -106,7 +106,7 @@ def shade_turned(
         return None
     if is_recorded(model, gbuffer, *lights) or len(model) * model.layout.nodes > _MOST_NODES:
         return None
-    inputs = _inputs(gbuffer, lights, None, 0.0)
+    inputs = kernel_inputs(gbuffer, lights)
     if inputs is None or not kernel.takes_tensors(*inputs, tangent, *model.parameters()):
         return None
     _check(cast(Tensor, inputs[0]), cast(Tensor, inputs[-1]))
@@ -121,11 +121,11 @@ def is_lamp(light: Light) -> bool:
     )
 
 
-def _inputs(
+def kernel_inputs(
     gbuffer: GBuffer,
     lights: Sequence[Light],
-    bound: Tensor | None,
-    tolerance: float,
+    bound: Tensor | None = None,
+    tolerance: float = 0.0,
     kept: Kept | None = None,
 ) -> tuple[Tensor | None, ...] | None:
     """Maps and packed lights, as the kernel takes them; None where it does not know a light.

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import torch
 from torch import Tensor
 
 from raden_torch.brdf.shading.area_lights import AreaLight
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
+from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.triples import Colour, Triple, as_map, checked, inverse_square
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 from raden_torch.geometry import dot, normalised, working_dtype
 
 
@@ -222,6 +224,24 @@ def directions_of(
         return
     for direction, irradiance in zip(light.directions, light.irradiance, strict=True):
         yield as_map(direction, like), as_map(irradiance, like)
+
+
+def checked_visibility(light: Light, gbuffer: GBuffer) -> Tensor:
+    """A light's visibility map, 0 where it is not finite.
+
+    Raises:
+        InputError: a size that is not the image's.
+    """
+    seen = light.visibility
+    what = f"{type(light).__name__} visibility"
+    check_type(what, seen, Tensor, "convert it by torch.as_tensor(x)")
+    b, _, h, w = gbuffer.normal.shape
+    seen = cast(Tensor, seen)
+    if seen.ndim != 4 or seen.shape[1:] != (1, h, w) or seen.shape[0] not in (1, b):
+        raise InputError(
+            f"{what}: expected [{b}, 1, {h}, {w}], as the normals, got {list(seen.shape)}"
+        )
+    return torch.nan_to_num(seen.float(), nan=0.0).clamp(0, 1)
 
 
 def _from_a_point(

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from numbers import Real
-from typing import Any, cast, get_args
+from typing import Any, Literal, cast, get_args, overload
 
 import torch
 from torch import Tensor
@@ -35,7 +35,8 @@ from raden_torch.brdf.shading.fused import (
     shade_turned,
 )
 from raden_torch.brdf.shading.gbuffer import GBuffer
-from raden_torch.brdf.shading.lights import DirectionalLight, Light
+from raden_torch.brdf.shading.lights import DirectionalLight, Light, checked_visibility
+from raden_torch.brdf.shading.radiance_std import RadianceStd, shade_with_std
 from raden_torch.brdf.shading.surroundings import shade_surroundings
 from raden_torch.errors import InputError, check_type
 
@@ -43,13 +44,32 @@ _LAMPS_NAMED = 4
 _LIGHTS = get_args(Light)
 
 
+@overload
 def shade(
     model: Reflection,
     gbuffer: GBuffer,
     lights: Sequence[Light] | Light,
     *,
     tolerance: float = 0.0,
-) -> Tensor:
+    return_std: Literal[False] = False,
+) -> Tensor: ...
+@overload
+def shade(
+    model: Reflection,
+    gbuffer: GBuffer,
+    lights: Sequence[Light] | Light,
+    *,
+    tolerance: float = 0.0,
+    return_std: Literal[True],
+) -> tuple[Tensor, RadianceStd]: ...
+def shade(
+    model: Reflection,
+    gbuffer: GBuffer,
+    lights: Sequence[Light] | Light,
+    *,
+    tolerance: float = 0.0,
+    return_std: bool = False,
+) -> Tensor | tuple[Tensor, RadianceStd]:
     """Outgoing radiance, L_r = Σ f_r E cos θi (Take 2012, eq. (1), summed over the lights).
 
     Args:
@@ -63,13 +83,19 @@ def shade(
             left out at a pixel certainly adds less; and the CPU's kernel reads large frames under
             distant lamps from a `LitSphere`. A material without an `upper_bound`, and gradients,
             leave nothing out in the eager form.
+        return_std: also return what the stated errors of the measurement do to the image
+            (docs/uncertainty.md): of a model fitted with `std=True`, under directional, point and
+            spot lights. Nothing is left out then.
 
     Returns:
         `[B, 3, H, W]` scene-linear RGB with sRGB primaries, unclipped, multiplied by the mask.
-        Every value is finite; invalid pixels are 0.
+        Every value is finite; invalid pixels are 0. With `return_std` a pair: the image, and a
+        `RadianceStd`, whose `own` and `systematic` are standard deviations of the same shape and
+        have no gradient.
 
     Raises:
-        InputError: a light needs positions that the G-buffer lacks; shapes or devices do not fit.
+        InputError: a light needs positions that the G-buffer lacks; shapes or devices do not fit;
+            with `return_std`, another material or light, or a model without errors.
 
     Examples:
         A perfect diffuser under a lamp overhead, and under one at 60° to its normal:
@@ -100,6 +126,15 @@ def shade(
         raise InputError(f"tolerance: expected a radiance of 0 or more, got {tolerance}")
     for place, light in enumerate(lights):
         check_type(f"lights[{place}]", light, _LIGHTS)
+    if return_std:
+        return shade_with_std(model, gbuffer, lights, partial(_shaded, model, gbuffer, lights, 0.0))
+    return _shaded(model, gbuffer, lights, tolerance)
+
+
+def _shaded(
+    model: Reflection, gbuffer: GBuffer, lights: Sequence[Light], tolerance: float
+) -> Tensor:
+    """The image under lights, of which some may be seen by a part of the pixels."""
     open_lights = [light for light in lights if light.visibility is None]
     # what has a visibility map is shaded by itself, and may lose its share
     tolerance /= max(1, len(lights) - len(open_lights) + bool(open_lights))
@@ -292,24 +327,6 @@ def _that_matter(
         else:
             kept.append(light)
     return kept
-
-
-def checked_visibility(light: Light, gbuffer: GBuffer) -> Tensor:
-    """A light's visibility map, 0 where it is not finite.
-
-    Raises:
-        InputError: a size that is not the image's.
-    """
-    seen = light.visibility
-    what = f"{type(light).__name__} visibility"
-    check_type(what, seen, Tensor, "convert it by torch.as_tensor(x)")
-    b, _, h, w = gbuffer.normal.shape
-    seen = cast(Tensor, seen)
-    if seen.ndim != 4 or seen.shape[1:] != (1, h, w) or seen.shape[0] not in (1, b):
-        raise InputError(
-            f"{what}: expected [{b}, 1, {h}, {w}], as the normals, got {list(seen.shape)}"
-        )
-    return torch.nan_to_num(seen.float(), nan=0.0).clamp(0, 1)
 
 
 def warn_if_black(image: Tensor, lights: Sequence[Light]) -> None:
