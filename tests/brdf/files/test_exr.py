@@ -472,7 +472,7 @@ def test_where_nothing_is_there_is_no_depth(tmp_path):
 def test_depth_needs_a_camera(tmp_path):
     path = tmp_path / "z.exr"
     write_channels(path, {"Z": RAMP + 1})
-    with pytest.raises(InputError, match="give intrinsics or fov_deg"):
+    with pytest.raises(InputError, match="give `fov_deg` or intrinsics"):
         read_gbuffer(path)
     for wrong in ({"fov_deg": 180}, {"intrinsics": np.zeros((3, 3))}, {"intrinsics": np.eye(2)}):
         with pytest.raises(InputError, match=r"z\.exr: (fov_deg|intrinsics): expected [^\n]*, got"):
