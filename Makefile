@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench runtimes clean
+.PHONY: demo test lint bench runtimes release clean
 .DEFAULT_GOAL := test
 
 demo: $(VENV)/made
@@ -25,6 +25,12 @@ bench: $(VENV)/made
 	$(BIN)/python benchmarks/kernel.py
 	$(BIN)/python benchmarks/normals.py
 
+# packages of HEAD in empty environments, some minutes each; needs a network
+release: $(VENV)/made
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check build uv
+	for check in contents compilers extras typed lowest sbom; do \
+		$(BIN)/python release/check.py $$check || exit 1; done
+
 # other programs that run exported shaders; tests of what cannot be had here skip
 runtimes: runtimes/made
 
@@ -32,7 +38,7 @@ runtimes/made: runtimes/package.json runtimes/install.sh
 	runtimes/install.sh
 
 clean:
-	rm -rf $(VENV) demo runtimes/made runtimes/node_modules runtimes/onnxruntime-*
+	rm -rf $(VENV) demo release-work runtimes/made runtimes/node_modules runtimes/onnxruntime-*
 
 # torch first and alone: a resolver that sees it late may choose another build
 $(VENV)/made: pyproject.toml constraints-dev.txt $(wildcard kernel/*)

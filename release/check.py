@@ -4,6 +4,8 @@
     python release/check.py compilers   # the sdist installed with a compiler, and without one
     python release/check.py extras      # every extra alone: imports, and its smallest command
     python release/check.py lowest      # the lowest versions that pyproject.toml allows, and tests
+    python release/check.py typed       # mypy --strict on consumer.py, which uses the wheel
+    python release/check.py sbom        # all that `raden_torch[all]` installs, as CycloneDX
     python release/check.py newer PYTHON…   # the wheel and the core of tests under other Pythons
 
 It needs git, `build` and `uv` of the Python that runs it (`pip install build uv`), a network and
@@ -185,6 +187,26 @@ def make_inputs(work: Work, wheel: Path) -> Path:
     return folder
 
 
+def typed(work: Work) -> None:
+    """`py.typed` is read, and the public types are enough for a strict program."""
+    _, wheel = work.build()
+    python = work.environment("typed")
+    uv("pip", "install", "-q", "--python", str(python), str(wheel), "mypy")
+    shutil.copy(PROJECT / "release/consumer.py", work.folder)
+    run(str(python), "-m", "mypy", "--strict", "consumer.py", cwd=work.folder)
+
+
+def sbom(work: Work) -> None:
+    """A bill of materials beside the packages: names, versions and licences."""
+    _, wheel = work.build()
+    python = work.environment("bill")
+    uv("pip", "install", "-q", "--python", str(python), f"raden_torch[all] @ {wheel.as_uri()}")
+    target = work.packages / f"{wheel.name.removesuffix('.whl')}.cdx.json"
+    tool = ("tool", "run", "-q", "--from", "cyclonedx-bom", "cyclonedx-py", "environment")
+    uv(*tool, str(python), "--of", "JSON", "-o", str(target))
+    print(f"wrote {target}")
+
+
 def lowest(work: Work) -> None:
     """The core with the lowest versions allowed, and its tests; then with all extras."""
     _, wheel = work.build()
@@ -221,7 +243,8 @@ def tested(work: Work, python: Path, wheel: Path, tests: Sequence[str]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("check", choices=("contents", "compilers", "extras", "lowest", "newer"))
+    checks = {check.__name__: check for check in (contents, compilers, extras, typed, sbom, lowest)}
+    parser.add_argument("check", choices=(*checks, "newer"))
     parser.add_argument("pythons", nargs="*", help="of `newer`: other Pythons")
     parser.add_argument("--work", type=Path, default=Path("release-work").resolve())
     asked = parser.parse_args()
@@ -230,9 +253,7 @@ def main() -> None:
     if asked.check == "newer":
         newer(work, asked.pythons)
     else:
-        {"contents": contents, "compilers": compilers, "extras": extras, "lowest": lowest}[
-            asked.check
-        ](work)
+        checks[asked.check](work)
 
 
 main()

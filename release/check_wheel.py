@@ -39,7 +39,7 @@ def main() -> None:
         sys.exit(
             f"expected {'a' if wants_kernel else 'no'} kernel in the package, got the opposite"
         )
-    overhead, aside = shaded()
+    overhead, aside = shaded().detach()
     worst = max(float((overhead - 1).abs().max()), float((aside - 0.5).abs().max()))
     if worst > 1e-5:
         sys.exit(f"expected a white diffuser within 1e-5 of 1 and 0.5, got {worst:.1e} beside it")

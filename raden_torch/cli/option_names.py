@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from cyclopts import App
 
 _UNIT = re.compile(r"_(deg|px|mm|s|ev)$")
-_SUBJECT = re.compile(r"^(\S+: )?(\w+)(?=: expected)")
+_SUBJECT = re.compile(r"^(\w+: )?(\w+)(?=: expected)")
 _PARAMETER = re.compile(r"`(\w+)(?:=\"?([^`\"]*)\"?)?`")
 
 

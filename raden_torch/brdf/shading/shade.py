@@ -94,7 +94,7 @@ def shade(
         raise InputError(
             'model: expected a material, got a spectral model; model.under("D65") is one'
         )
-    if not callable(model):
+    if not hasattr(model, "of_unit_vectors"):
         raise InputError(
             f"model: expected a material, got {type(model).__name__}; fit(…).model is one, "
             "load_model reads one from a file"
