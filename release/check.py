@@ -256,4 +256,5 @@ def main() -> None:
         checks[asked.check](work)
 
 
-main()
+if __name__ == "__main__":
+    main()
