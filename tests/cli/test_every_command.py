@@ -16,7 +16,12 @@ import numpy as np
 import pytest
 
 import raden_torch as rt
-from raden_torch.cli.command_table import _CAPTURE_COMMANDS, _COMMANDS, app
+from raden_torch.cli.command_table import (
+    _CAPTURE_COMMANDS,
+    _CATALOGUE_COMMANDS,
+    _COMMANDS,
+    app,
+)
 from raden_torch.cli.json_output import plain
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
@@ -24,10 +29,11 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 PAGE = Path(__file__).parents[2] / "docs/command_line.md"
 EXAMPLES = [
     example
-    for _, _, examples in (*_COMMANDS, *_CAPTURE_COMMANDS)
+    for _, _, examples in (*_COMMANDS, *_CAPTURE_COMMANDS, *_CATALOGUE_COMMANDS)
     for example in examples.split("; ")
+    if example.startswith("raden ")  # the rest says what it reads
 ]
-NOT_RUN = ("bench", "demo", "scan", "capture")
+NOT_RUN = ("bench", "demo", "scan", "capture", "catalogue")
 """Their examples take minutes, an instrument or photographs; tests of their own run these."""
 
 

@@ -475,9 +475,7 @@ def test_depth_needs_a_camera(tmp_path):
     with pytest.raises(InputError, match="give `fov_deg` or intrinsics"):
         read_gbuffer(path)
     for wrong in ({"fov_deg": 180}, {"intrinsics": np.zeros((3, 3))}, {"intrinsics": np.eye(2)}):
-        with pytest.raises(
-            InputError, match=r"z\.exr: (`fov_deg`|intrinsics): expected [^\n]*, got"
-        ):
+        with pytest.raises(InputError, match=r"z\.exr: `?(fov_deg|intrinsics)`?: expected .*got"):
             read_gbuffer(path, **wrong)
     with pytest.raises(InputError, match="expected intrinsics or fov_deg, got both"):
         read_gbuffer(path, fov_deg=40, intrinsics=np.eye(3))
