@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint bench docs links runtimes clean
+.PHONY: demo test lint bench docs links release runtimes clean
 .DEFAULT_GOAL := test
 
 demo: $(VENV)/made
@@ -25,18 +25,7 @@ bench: $(VENV)/made
 	$(BIN)/python benchmarks/kernel.py
 	$(BIN)/python benchmarks/normals.py
 
-# the site: build/site/index.html; notebooks run again when they or the package have changed
-docs: $(VENV)/made build/notebooks/current
-	RADEN_TORCH_DOCS_NOTEBOOKS=cache $(BIN)/sphinx-build -q -W --keep-going -c docs/site . build/site
-
-# what the pages link to outside is asked for, over the network
-links: $(VENV)/made
-	$(BIN)/sphinx-build -q -b linkcheck -c docs/site . build/links
-
-build/notebooks/current: $(shell find raden_torch kernel -name '*.py' -o -name '*.cpp' -o -name '*.h')
-	rm -rf build/notebooks
-	mkdir -p build/notebooks
-	touch $@
+	rm -rf $(VENV) demo build/site build/notebooks release-work runtimes/made runtimes/node_modules runtimes/onnxruntime-*
 
 # other programs that run exported shaders; tests of what cannot be had here skip
 runtimes: runtimes/made
@@ -45,7 +34,7 @@ runtimes/made: runtimes/package.json runtimes/install.sh
 	runtimes/install.sh
 
 clean:
-	rm -rf $(VENV) demo build/site build/notebooks runtimes/made runtimes/node_modules runtimes/onnxruntime-*
+	rm -rf $(VENV) demo build/site build/notebooks release-work runtimes/made runtimes/node_modules runtimes/onnxruntime-*
 
 # torch first and alone: a resolver that sees it late may choose another build
 $(VENV)/made: pyproject.toml constraints-dev.txt $(wildcard kernel/*)

@@ -66,12 +66,13 @@ class Figure:
     text: str
 
 
-def run_demo(out: Path, *, size: int = 512) -> Path:
+def run_demo(out: Path, *, size: int = 512, console: Console | None = None) -> Path:
     """Simulate, fit, light, and write the gallery.
 
     Args:
         out: the folder; it is made where missing. Files of an earlier run are replaced.
         size: width and height of the large picture in pixels.
+        console: where its steps are shown; stderr unless given.
 
     Returns:
         The path of `index.html`.
@@ -81,7 +82,7 @@ def run_demo(out: Path, *, size: int = 512) -> Path:
     out.mkdir(parents=True, exist_ok=True)
     started = time.perf_counter()
     columns = (TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    with Progress(*columns, console=console or Console(stderr=True)) as progress:
         step = partial(_step, progress)
         measurement = step("simulating the shell", lambda: simulate_specimen(SPECIMEN))
         measurement.save(out / "shell.csv")

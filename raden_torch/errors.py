@@ -26,3 +26,10 @@ def check_type(name: str, value: object, kinds: type | tuple[type, ...], hint: s
         raise InputError(
             f"{name}: expected {wanted}, got {type(value).__name__}" + (f"; {hint}" if hint else "")
         )
+
+
+def why(error: OSError) -> str:
+    """What stands in a file's place, after "expected …, got"."""
+    if isinstance(error, IsADirectoryError):
+        return "a folder"
+    return f"an error: {error.strerror}"

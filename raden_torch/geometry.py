@@ -19,7 +19,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, check_type
 
 XYZ_DIM = -3
 """The dimension that holds x, y, z in every vector map."""
@@ -118,6 +118,8 @@ def vectors_from_angles(
         >>> [round(angle.rad2deg().item(), 9) for angle in back]
         [30.0, -10.0, 20.0]
     """
+    for name, angle in (("incidence", incidence), ("receiving", receiving), ("tilt", tilt)):
+        check_type(name, angle, Tensor, "in radians, as torch.deg2rad(degrees) gives them")
     a, r, t = torch.broadcast_tensors(incidence, receiving, tilt)
     if not a.is_floating_point():
         raise InputError(f"vectors_from_angles: expected a floating-point dtype, got {a.dtype}")

@@ -105,7 +105,10 @@ def relight_files(
         scene = (loaded, photo.linear, normal, coverage)
         is_linear = target.suffix.lower() == ".exr" or photo.levels is None
         shown = replace(display, tone="srgb") if is_linear else display
-        relit = _relit(scene, (material, tangent), lights, layout, shown, before)
+        try:
+            relit = _relit(scene, (material, tangent), lights, layout, shown, before)
+        except InputError as error:  # of which of several?
+            raise InputError(f"{path}: {error}") from None
         alpha = _alpha_of(photo, path, layout, len(lights))
         made = replace(photo, linear=relit, alpha=alpha)
         write_photograph(made, target, caption_of(loaded), display=display)

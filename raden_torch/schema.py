@@ -19,7 +19,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta
 
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, why
 
 T = TypeVar("T")
 
@@ -65,7 +65,7 @@ def read_document(
             raise InputError(f"{path}: expected {what}, got over {most_bytes} bytes ({size})")
         return parse(path.read_bytes().decode("utf-8-sig"))
     except OSError as error:
-        raise InputError(f"{path}: expected {what}, got an error: {error.strerror}") from None
+        raise InputError(f"{path}: expected {what}, got {why(error)}") from None
     except UnicodeDecodeError:
         raise InputError(f"{path}: expected {what}, got bytes that are not UTF-8 text") from None
     except InputError:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+import raden_torch
 
 PROJECT = Path(__file__).parents[1]
 FILES = sorted(
@@ -64,3 +67,24 @@ def test_contributing_names_files_that_are_there() -> None:
     ]
     assert len(named) > 10
     assert not missing
+
+
+def test_one_version_stands_everywhere() -> None:
+    project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert raden_torch.__version__ == project["version"]
+    citation = parsed("CITATION.cff")
+    assert (citation["version"], citation["license"]) == (project["version"], project["license"])
+    assert f"## {project['version']} " in (PROJECT / "CHANGELOG.md").read_text("utf-8")
+
+
+def test_wheels_are_of_the_pythons_that_are_declared() -> None:
+    """Rationale: the stable ABI's wheel serves its first Python and all later ones."""
+    pyproject = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))
+    wheels = pyproject["tool"]["cibuildwheel"]
+    stable = wheels["config-settings"]["wheel.py-api"]
+    built = [name.partition("-")[0] for name in wheels["build"]]
+    named = re.findall(r":: 3\.(\d+)", "\n".join(pyproject["project"]["classifiers"]))
+    assert built == [f"cp3{minor}" for minor in named if f"cp3{minor}" <= stable]
+    assert pyproject["project"]["requires-python"] == f">=3.{named[0]}"
+    assert "STABLE_ABI" in (PROJECT / "kernel/CMakeLists.txt").read_text("utf-8")
+    assert (PROJECT / wheels["test-command"].split("{project}/")[1]).is_file()

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import atexit
 import io
+import os
 import signal
 import sys
+import traceback
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
+from typing import Any
 
 try:
     from raden_torch.cli.command_table import app
     from raden_torch.cli.endings import ending_of, in_options
+    from raden_torch.cli.status import Level, level, set_level
 except KeyboardInterrupt:  # while the command starts
     sys.exit(128 + signal.SIGINT)
 from raden_torch.interrupts import Interrupted, ignore_signals, signals_interrupt
@@ -27,11 +32,13 @@ def main() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with signals_interrupt():
-            run(sys.argv[1:])
+            run(set_level(sys.argv[1:]))
     except (Exception, Interrupted) as error:
         ending = ending_of(error, sys.argv[1:])
         if ending is None:
             raise
+        if level() is Level.VERBOSE:
+            traceback.print_exc()
         print(f"raden: {ending.message}", file=sys.stderr)
         sys.exit(ending.exit_code)
     finally:
@@ -50,7 +57,29 @@ def run(arguments: Sequence[str]) -> None:
         app.help_print(arguments)
         sys.exit(2)
     command, given, _ = app.parse_args(arguments)
-    command(*given.args, **given.kwargs)
+    if level() is Level.VERBOSE:
+        print(f"raden: {_versions()}", file=sys.stderr)
+    given.apply_defaults()
+    with _said(given.arguments):
+        command(*given.args, **given.kwargs)
+
+
+@contextmanager
+def _said(given: dict[str, Any]) -> Iterator[None]:
+    """Under --quiet a command that writes files prints nothing, unless it is asked for JSON."""
+    writes = given.get("output") is not None or given.get("out") is not None
+    if level() is not Level.QUIET or given.get("as_json") or not writes:
+        yield
+        return
+    with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
+        yield
+
+
+def _versions() -> str:
+    from importlib.metadata import version
+
+    of = ", ".join(f"{name} {version(name)}" for name in ("raden_torch", "torch", "numpy"))
+    return f"{of}, Python {sys.version.split()[0]}"
 
 
 def _print_warning(message: Warning | str, *_: object, **__: object) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from raden_torch.cli.file_commands import load_either
+from raden_torch.cli.json_output import AsJson, print_json
 from raden_torch.cli.option_types import argument
 from raden_torch.cli.status import working
 
@@ -24,7 +24,7 @@ def analyse(
     coat_index: Annotated[
         float, Parameter(help="index of the clear lacquer over the shell; 1 if it is bare")
     ] = 1.53,
-    as_json: Annotated[bool, Parameter(name="--json", help="print JSON instead of text")] = False,
+    as_json: AsJson = False,
 ) -> None:
     from raden_torch.optics.tablet_fit import estimate_tablets
 
@@ -33,11 +33,11 @@ def analyse(
     if not as_json:
         print(estimate)
         return
-    fields = asdict(estimate) | {
-        "tablet_95_percent_nm": estimate.tablet_interval_nm,
-        "spread_95_percent": estimate.spread_interval,
-    }
-    print(json.dumps(fields, indent=2))
+    print_json(
+        **asdict(estimate),
+        tablet_95_percent_nm=estimate.tablet_interval_nm,
+        spread_95_percent=estimate.spread_interval,
+    )
 
 
 def _readings(path: Path) -> BrdfMeasurement:

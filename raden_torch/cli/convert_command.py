@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,6 +9,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from raden_torch.cli.file_commands import load_either
+from raden_torch.cli.json_output import AsJson, print_json
 from raden_torch.cli.option_types import argument
 from raden_torch.cli.status import working
 from raden_torch.files import check_output
@@ -48,7 +48,7 @@ def convert(
         float | None,
         Parameter(help="step of a grid that is made, degrees; 5 where the readings have none"),
     ] = None,
-    as_json: Annotated[bool, Parameter(name="--json", help="print JSON instead of text")] = False,
+    as_json: AsJson = False,
 ) -> None:
     from raden_torch.capture.exchange.formats import FORMATS, format_of
     from raden_torch.conversion.convert import convert as convert_to
@@ -62,6 +62,6 @@ def convert(
     with working(f"converting {file.name}"):
         done = convert_to(source, output, options)
     if as_json:
-        print(json.dumps({"input": str(file), "output": str(output), **asdict(done)}, indent=2))
+        print_json(input=file, output=output, **asdict(done))
     else:
         print(f"{done}\nwrote {output}")

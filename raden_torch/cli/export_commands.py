@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
+from raden_torch.cli.json_output import AsJson, print_json
 from raden_torch.cli.option_types import ModelFile, argument, output
 from raden_torch.cli.status import working
 from raden_torch.errors import InputError
@@ -192,10 +193,14 @@ def verify(
         tuple[Path, ...],
         Parameter(help="Python of another environment with onnxruntime; may be repeated"),
     ] = (),
+    as_json: AsJson = False,
 ) -> None:
     with working(f"verifying {file.name}"):
-        said = _verified(file, node_modules, python)
-    print(said)
+        found = _verified(file, node_modules, python)
+    if as_json:
+        print_json(file=file, report=found)
+    else:
+        print(found)
 
 
 def _verified(file: Path, node_modules: Path, pythons: tuple[Path, ...]) -> object:
@@ -213,4 +218,9 @@ def _verified(file: Path, node_modules: Path, pythons: tuple[Path, ...]) -> obje
 
     if file.suffix in LANGUAGES:
         return verify_shader(file, node_modules=node_modules)
+    if file.suffix != ".onnx":
+        raise InputError(
+            f"{file}: expected a file that `raden export` wrote, .onnx, .glsl, .wgsl, .xml or "
+            f".bsdf, got {file.suffix or 'no suffix'}"
+        )
     return verify_onnx(file, node_modules=node_modules, pythons=pythons)

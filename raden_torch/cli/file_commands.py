@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from raden_torch.cli.json_output import AsJson, print_json
 from raden_torch.cli.option_types import argument, files, output
 from raden_torch.cli.status import working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output
 
 if TYPE_CHECKING:
+    from raden_torch.brdf.fitting.score import Score
     from raden_torch.brdf.model.model import RadenBrdf
     from raden_torch.measurement import BrdfMeasurement
+    from raden_torch.measurement.compare import Comparison
 
 
 def info(
@@ -29,27 +32,47 @@ def info(
     system: Annotated[
         bool, Parameter(help="show which form of the model runs on this machine instead")
     ] = False,
+    as_json: AsJson = False,
 ) -> None:
     if system == (file is not None):
         raise InputError("info: give a FILE, or --system")
     if file is None:
         from raden_torch.brdf.model.simd import system_report
 
-        print(system_report())
+        said = system_report()
+        if as_json:
+            print_json(system=said.splitlines())
+        else:
+            print(said)
         return
-
-    from raden_torch.info import describe_file
-
     if other is not None and against is not None:
         raise InputError("info: two measurements are compared, --against scores a model; give one")
     with working(f"reading {file.name}"):
-        if other is not None:
-            text = _compared(file, other)
-        else:
-            text = describe_file(file)
-            if against is not None:
-                text += f"\nagainst {against.name}: {_scored(file, against)}"
-    print(text)
+        report, text = _about(file, other, against)
+    if as_json:
+        print_json(file=file, **report)
+    else:
+        print(text)
+
+
+def _about(file: Path, other: Path | None, against: Path | None) -> tuple[dict[str, Any], str]:
+    """What is known of a file, for programs and for people."""
+    from raden_torch.info import describe_file, kind_of
+
+    if other is not None:
+        compared = _compared(file, other)
+        verdict = {"agrees": compared.agrees, "p": compared.p, "birge": compared.birge}
+        return {"other": other, "comparison": compared, **verdict}, str(compared)
+    text = describe_file(file)
+    report = {"kind": kind_of(file).name, "facts": text.splitlines()}
+    if against is None:
+        return report, text
+    found = _scored(file, against)
+    return {
+        **report,
+        "against": against,
+        "score": found,
+    }, f"{text}\nagainst {against.name}: {found}"
 
 
 def _measurement(path: Path) -> BrdfMeasurement:
@@ -62,20 +85,31 @@ def _measurement(path: Path) -> BrdfMeasurement:
     raise InputError(f"{path}: expected a measurement, got a model")
 
 
-def _compared(first: Path, second: Path) -> str:
+def _compared(first: Path, second: Path) -> Comparison:
     from raden_torch.measurement.compare import compare
 
-    return str(compare(_measurement(first), _measurement(second)))
+    return compare(_measurement(first), _measurement(second))
 
 
-def _scored(model: Path, readings: Path) -> str:
+def _scored(model: Path, readings: Path) -> Score:
     from raden_torch.brdf.fitting.score import score
     from raden_torch.measurement import BrdfMeasurement
 
     loaded = load_either(model)
     if isinstance(loaded, BrdfMeasurement):
         raise InputError(f"--against: expected a model to score, got a measurement ({model})")
-    return str(score(loaded, _measurement(readings)))
+    return score(loaded, _measurement(readings))
+
+
+def _weighed(path: Path) -> BrdfMeasurement:
+    """A measurement that states standard deviations."""
+    measurement = _measurement(path)
+    if measurement.std is None:
+        columns = ", ".join(f"std_{name}" for name in measurement.channels[:3])
+        raise InputError(
+            f"{path}: expected columns {columns}, by which its readings are weighed, got none"
+        )
+    return measurement
 
 
 def merge(
@@ -87,14 +121,19 @@ def merge(
             help="if readings contradict each other, enlarge their uncertainty instead of refusing"
         ),
     ] = False,
+    as_json: AsJson = False,
 ) -> None:
     from raden_torch.measurement.merge import merge as merge_measurements
 
     check_output(output, (".csv",), inputs=files)
     with working("merging"):
-        merged = merge_measurements([_measurement(path) for path in files], robust=robust)
+        merged = merge_measurements([_weighed(path) for path in files], robust=robust)
         merged.measurement.save(output)
-    print(f"{merged}\nwrote {output}")
+    if not as_json:
+        print(f"{merged}\nwrote {output}")
+        return
+    report = {key: value for key, value in vars(merged).items() if key != "measurement"}
+    print_json(measurements=files, output=output, readings=len(merged.measurement), **report)
 
 
 @Parameter(name="*")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 from cyclopts import Parameter
 
+from raden_torch.cli.json_output import AsJson, print_json
 from raden_torch.cli.option_types import Names, Triple, files, output, switch
 from raden_torch.cli.status import working
 from raden_torch.errors import InputError
@@ -94,6 +95,7 @@ def fit(
         Names, Parameter(help="names of a palette's members; by default those of the files")
     ] = (),
     how: FitOptions = FitOptions(),
+    as_json: AsJson = False,
 ) -> None:
     from raden_torch.capture.exchange import load_measurement
 
@@ -111,12 +113,18 @@ def fit(
     from raden_torch.brdf.files.model_file import save_model
     from raden_torch.brdf.materials.palette import Palette
 
-    if not members:
+    if members:
+        models = cast("list[RadenBrdf]", [result.model for result in results])
+        save_model(Palette(models, members), output)
+    else:
         save_model(results[0].model, output)
+    if as_json:
+        reports = [result.report for result in results]
+        print_json(measurements=measurements, output=output, names=members, reports=reports)
+        return
+    if not members:
         print(f"{loaded[0]!r}\n{results[0].report}\nwrote {output}")
         return
-    models = cast("list[RadenBrdf]", [result.model for result in results])
-    save_model(Palette(models, members), output)
     for name, measurement, result in zip(members, loaded, results, strict=True):
         print(f"{name}: {measurement!r}\n{result.report}\n")
     print(f"a palette of {len(members)}: {', '.join(members)}\nwrote {output}")
@@ -182,8 +190,6 @@ def _fitted(
 class BenchOptions:
     """What is timed."""
 
-    out: Path = Path("bench")
-    """the folder for bench.json and the plot"""
     measurement: Path | None = None
     """a measurement on a grid, by default the simulated shell; with --readings"""
     readings: Path | None = None
@@ -202,21 +208,40 @@ class BenchOptions:
             raise InputError(f"--height: expected 16…8192, got {self.height}")
         if not 1 <= self.runs <= 1000:
             raise InputError(f"--runs: expected 1…1000, got {self.runs}")
-        if self.out.exists() and not self.out.is_dir():
-            raise InputError(f"{self.out}: expected a folder, got a file")
 
 
-def bench(*, what: BenchOptions = BenchOptions()) -> None:
+def bench(
+    *,
+    out: Annotated[Path, Parameter(help="the folder for bench.json and the plot")] = Path("bench"),
+    what: BenchOptions = BenchOptions(),
+    as_json: AsJson = False,
+) -> None:
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out}: expected a folder, got a file")
     from raden_torch.bench import OUTPUTS, run_bench
     from raden_torch.capture.exchange import load_measurement
 
-    if what.out.is_dir():
-        results = (what.out / name for name in OUTPUTS)
+    if out.is_dir():
+        results = (out / name for name in OUTPUTS)
         check_outputs(*results, inputs=(what.measurement, what.readings))
     grid = None if what.measurement is None else load_measurement(what.measurement)
     off_grid = None if what.readings is None else load_measurement(what.readings)
     frame = (what.height, what.height * 16 // 9)
     plot_path = run_bench(
-        what.out, grid, off_grid, frame=frame, runs=what.runs, compiled=what.compiled
+        out,
+        grid,
+        off_grid,
+        say=_unsaid if as_json else print,
+        frame=frame,
+        runs=what.runs,
+        compiled=what.compiled,
     )
-    print(f"wrote {plot_path.with_name('bench.json')}\nwrote {plot_path}")
+    figures = plot_path.with_name("bench.json")
+    if as_json:
+        print(figures.read_text("utf-8"), end="")
+    else:
+        print(f"wrote {figures}\nwrote {plot_path}")
+
+
+def _unsaid(_: str) -> None:
+    """Rows are in bench.json, too."""

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from cyclopts import App
 
 _UNIT = re.compile(r"_(deg|px|mm|s|ev)$")
+_SUBJECT = re.compile(r"^(\w+: )?(\w+)(?=: expected)")
 _PARAMETER = re.compile(r"`(\w+)(?:=\"?([^`\"]*)\"?)?`")
 
 
@@ -32,9 +33,11 @@ def options_of(app: App, arguments: Sequence[str]) -> dict[str, str]:
 
 
 def with_options(message: str, options: Mapping[str, str]) -> str:
-    """The message, its parameters in backticks replaced: `assume="isotropic"` → --assume isotropic.
+    """The message, its parameters replaced by the options of the command.
 
-    What is in backticks and no option of the command stays as it is.
+    A parameter stands in backticks, as `assume="isotropic"` → --assume isotropic, or is what the
+    message is about: "shape: expected …" → "--shape: expected …". What is no option of the command
+    stays as it is.
     """
 
     def replaced(found: re.Match[str]) -> str:
@@ -43,4 +46,8 @@ def with_options(message: str, options: Mapping[str, str]) -> str:
             return found[0]
         return options[name] if value is None else f"{options[name]} {value}"
 
-    return _PARAMETER.sub(replaced, message)
+    def subject(found: re.Match[str]) -> str:
+        before, name = found.groups()
+        return f"{before or ''}{options.get(name, name)}"
+
+    return _PARAMETER.sub(replaced, _SUBJECT.sub(subject, message))

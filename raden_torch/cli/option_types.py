@@ -206,7 +206,12 @@ class LampOption:
         kind, colon, numbers = text.rpartition(":")
         if colon and kind != "point":
             raise ValueError(f"expected x,y,z or point:x,y,z, got {text}")
-        return cls(_triple(numbers), bool(kind))
+        place = _triple(numbers)
+        if not all(map(isfinite, place)):
+            raise ValueError(f"expected three finite numbers as 1,1,2, got {text}")
+        if not (kind or any(place)):
+            raise ValueError(f"expected a direction towards the lamp as 1,1,2, got {text}")
+        return cls(place, bool(kind))
 
     @property
     def light(self) -> Light:

@@ -28,7 +28,7 @@ from raden_torch.cli.picture_options import (
     SceneOptions,
     SpectrumOptions,
 )
-from raden_torch.cli.status import progress, without_other_inputs, working
+from raden_torch.cli.status import console, progress, without_other_inputs, working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
 from raden_torch.packages import require
@@ -358,5 +358,5 @@ def demo(
     require("the demo's pictures", "images", "plots", "export")
     from raden_torch.demo import run_demo
 
-    page = run_demo(out, size=size)
+    page = run_demo(out, size=size, console=console())
     print(f"open {page}")

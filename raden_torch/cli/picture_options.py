@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -143,6 +143,9 @@ class GBufferOptions(ExrOptions):
         if given:
             option = given[0].replace("_", "-")
             raise InputError(f"--{option}: expected with --gbuffer, whose vectors it describes")
+        for field in fields(self):
+            if field.name != "tangent" and getattr(self, field.name) != field.default:
+                raise InputError(f"`{field.name}`: expected with --gbuffer, which it describes")
 
     @property
     def shadowed(self) -> Shadowed | None:

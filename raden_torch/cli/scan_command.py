@@ -12,7 +12,7 @@ from raden_torch.cli.batch.scan_queue import run_queue
 from raden_torch.cli.endings import Ending, StoppedError
 from raden_torch.cli.option_types import output
 from raden_torch.cli.scan_options import PlanOptions, ReferenceOptions, RigOptions, SessionOptions
-from raden_torch.cli.status import working
+from raden_torch.cli.status import console, working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
 from raden_torch.interrupts import Interrupted
@@ -190,7 +190,6 @@ def _stopped(journal: JournalFile, ending: Ending) -> StoppedError:
 @contextmanager
 def _progress(journal: JournalFile, operator: _Operator) -> Iterator[Callable[[int, str], None]]:
     """A bar with the time that is left, on stderr where a person looks on."""
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -210,7 +209,7 @@ def _progress(journal: JournalFile, operator: _Operator) -> Iterator[Callable[[i
         TextColumn("{task.fields[note]}", markup=False),
     )
     contents = journal.contents
-    with Progress(*columns, console=Console(stderr=True), speed_estimate_period=600) as bar:
+    with Progress(*columns, console=console(), speed_estimate_period=600) as bar:
         task = bar.add_task("", total=contents.plan.steps, completed=len(contents.taken), note="")
         operator.bar = bar
         yield lambda taken, note: bar.update(

@@ -62,6 +62,11 @@ class RigOptions:
         chances = self._chances()
         with tempfile.TemporaryDirectory() as folder:
             path = Path(self.specimen)
+            if self.specimen not in SPECIMENS and not path.exists():
+                raise InputError(
+                    f"--specimen: expected {', '.join(SPECIMENS)} or a measurement file, got "
+                    f"{self.specimen}"
+                )
             if self.specimen in SPECIMENS:
                 path = Path(folder) / f"{self.specimen}.csv"
                 with working("simulating the specimen"):

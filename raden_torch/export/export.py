@@ -14,7 +14,7 @@ import torch
 from raden_torch.brdf.materials.runtime import models_of
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import RadenBrdf
-from raden_torch.errors import InputError, check_type
+from raden_torch.errors import InputError, check_type, why
 from raden_torch.export import onnx_file
 from raden_torch.export.check import ExportReport, RuntimeResult, StressSet
 from raden_torch.export.constants import fix_parameters, is_fixed
@@ -125,9 +125,7 @@ def verify_onnx(
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(
-            f"{path}: expected an exported .onnx file, got an error: {error.strerror}"
-        ) from None
+        raise InputError(f"{path}: expected an exported .onnx file, got {why(error)}") from None
     try:
         report = _verified(data, node_modules, pythons)
     except InputError as error:

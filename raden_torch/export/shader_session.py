@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from raden_torch.arrays import Floats32
-from raden_torch.errors import InputError, check_type
+from raden_torch.errors import InputError, check_type, why
 from raden_torch.export.constants import fix_parameters
 from raden_torch.export.runtimes import Arrays, one_line, onnx_session
 from raden_torch.packages import require
@@ -249,6 +249,4 @@ def _read(path: Path) -> bytes:
     try:
         return path.read_bytes()
     except OSError as error:
-        raise InputError(
-            f"{path}: expected an exported .onnx file, got an error: {error.strerror}"
-        ) from None
+        raise InputError(f"{path}: expected an exported .onnx file, got {why(error)}") from None

@@ -16,7 +16,7 @@ from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.model.model import Provenance
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, why
 from raden_torch.export.forms import RuntimeForm, form_of
 from raden_torch.export.whole_reflection import highlight_roughness, view_albedo
 from raden_torch.files import written_beside
@@ -158,7 +158,7 @@ def described(path: Path) -> tuple[dict[str, Any], bytes]:
         size = table.stat().st_size
     except OSError as error:
         raise InputError(
-            f"{error.filename}: expected a file of `raden export`, got an error: {error.strerror}"
+            f"{error.filename}: expected a file of `raden export`, got {why(error)}"
         ) from None
     except (ValueError, KeyError, TypeError):
         raise InputError(f"{beside}: expected the description of a shader's table") from None

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, why
 from raden_torch.files import check_seekable
 from raden_torch.images.openimageio import error_of
 
@@ -97,9 +97,7 @@ def check_magic(path: str | os.PathLike[str]) -> None:
         with open(path, "rb") as file:
             start = file.read(4)
     except OSError as error:
-        raise InputError(
-            f"{path}: expected an OpenEXR file, got an error: {error.strerror}"
-        ) from None
+        raise InputError(f"{path}: expected an OpenEXR file, got {why(error)}") from None
     if start != _MAGIC:
         raise InputError(f"{path}: expected an OpenEXR file, got one that starts with {start!r}")
 

@@ -70,8 +70,8 @@ class Layers:
 
     def missing(self, wanted: str, what: str = "normal") -> InputError:
         return InputError(
-            f"{self.file.path}: {wanted}, got the channels {self.listing}; name a layer of them, "
-            f"as in {what}=LAYER"
+            f"{self.file.path}: {wanted}, got the channels {self.listing}; name a layer of them "
+            f"by `channels`, as {what}=LAYER"
         )
 
     def vector(self, what: str) -> tuple[Key, ...] | None:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 from raden_torch.errors import InputError
 from raden_torch.info import image_info, reflectance_info, result_info, rig_info, shader_info
-from raden_torch.measurement.text_file import read_head
+from raden_torch.measurement.text_file import head_in_words, read_head
 
 
 @dataclass(frozen=True)
@@ -94,15 +93,4 @@ def kind_of(path: str | os.PathLike[str]) -> FileKind:
         if kind.recognises(head):
             return kind
     known = ", ".join(kind.name for kind in KINDS)
-    raise InputError(f"{path}: expected one of {known}; got {_in_words(head)}")
-
-
-def _in_words(head: bytes) -> str:
-    if not head.strip():
-        return "an empty file"
-    text = head[:40].decode("utf-8", "replace")
-    if b"\0" in head or "\ufffd" in text[:-3]:
-        return f"a binary file that begins with the bytes {head[:8].hex(' ')}"
-    if re.match(r"\s*[{\[]", text):
-        return "JSON of another program"
-    return f"text that begins with {text.splitlines()[0]!r}"
+    raise InputError(f"{path}: expected one of {known}; got {head_in_words(head)}")

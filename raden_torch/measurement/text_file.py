@@ -14,7 +14,7 @@ import zlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, why
 from raden_torch.files import check_seekable
 
 HEAD_BYTES = 65_536
@@ -25,6 +25,14 @@ _MAX_EXPANSION = 60  # tables of numbers shrink to between a half and a twentiet
 _CHUNK_BYTES = 1 << 20
 _SMALL_BYTES = 50_000_000  # so much may come of any gzip file
 _UTF_16 = {codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+
+_OTHERS = {
+    "a safetensors file, as models are": re.compile(rb".{8}\{", re.DOTALL),
+    "a PNG image": re.compile(rb"\x89PNG"),
+    "a JPEG image": re.compile(rb"\xff\xd8\xff"),
+    "an OpenEXR image": re.compile(rb"\x76\x2f\x31\x01"),
+    "a zip archive, as .pt and .xlsx files are": re.compile(rb"PK\x03\x04"),
+}
 
 _WESTERN = "À-ÖØ-öø-þ°±²³µ·×§«»©®¼½¾¿¡£¥€„…Š‹›ŒŽ‘’“”–—šœžŸ\u00a0"
 _NOT_WESTERN = re.compile(rf"[^\x00-\x7f{_WESTERN}]|[^\x00-\x7f]{{3}}")
@@ -52,7 +60,7 @@ def read_head(path: Path, wanted: str) -> bytes:
         with path.open("rb") as file:
             head = file.read(HEAD_BYTES)
     except OSError as error:
-        raise InputError(f"{path}: expected {wanted}, got an error: {error.strerror}") from None
+        raise InputError(f"{path}: expected {wanted}, got {why(error)}") from None
     return _unpacked(path, HEAD_BYTES) if head.startswith(_GZIP) else head
 
 
@@ -61,6 +69,21 @@ def head_text(head: bytes) -> str:
     encoding = _UTF_16.get(head[:2], "utf-8")
     text = codecs.getincrementaldecoder(encoding)("replace").decode(head).removeprefix("\ufeff")
     return "" if "\0" in text else _line_feeds(text)
+
+
+def head_in_words(head: bytes) -> str:
+    """What a file seems to be by its first bytes, for messages that expect another one."""
+    if not head.strip():
+        return "an empty file"
+    for name, begins in _OTHERS.items():
+        if begins.match(head):
+            return name
+    text = head[:40].decode("utf-8", "replace")
+    if b"\0" in head or "\ufffd" in text[:-3]:
+        return f"a binary file that begins with the bytes {head[:8].hex(' ')}"
+    if re.match(r"\s*[{\[]", text):
+        return "JSON of another program"
+    return f"text that begins with {text.splitlines()[0]!r}"
 
 
 def read_content(path: Path, limit: int) -> bytes:
@@ -76,7 +99,7 @@ def read_content(path: Path, limit: int) -> bytes:
             raise InputError(f"{path}: expected at most {_bytes(limit)}, got {size} bytes")
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: expected a text file, got an error: {error.strerror}") from None
+        raise InputError(f"{path}: expected a text file, got {why(error)}") from None
     if not data.startswith(_GZIP):
         return data
     most = min(limit, max(_SMALL_BYTES, _MAX_EXPANSION * size))

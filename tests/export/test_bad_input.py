@@ -143,7 +143,7 @@ def test_files_that_are_not_ours(tmp_path: Path) -> None:
     refused(tmp_path, verify("empty.onnx"), "empty.onnx", "not a valid ONNX file")
     refused(tmp_path, verify("text.onnx"), "text.onnx", "not a valid ONNX file")
     refused(tmp_path, verify("missing.onnx"), "missing.onnx", "No such file")
-    refused(tmp_path, lambda: verify_onnx(tmp_path), "directory")
+    refused(tmp_path, lambda: verify_onnx(tmp_path), "got a folder")
 
 
 def test_damaged_files(exported: Callable, matt: rt.RadenBrdf, tmp_path: Path) -> None:

@@ -106,7 +106,7 @@ BAD = {
     "duplicates that disagree": (HEADER + ROWS + "5,10,0,70,80,90\n", "readings 3 and 4"),
     "empty": ("", "empty"),
     "header only": (HEADER, "expected readings below its column names, got none"),
-    "comments only": ("# material: x\n" * 3, "got an unknown format"),
+    "comments only": ("# material: x\n" * 3, "got text that begins with '# material: x'"),
     "cut within a row": (HEADER + ROWS[:-6], "line 4: expected 6 values, got 4; the file is trunc"),
     "cut between rows": (
         "# readings: 5\n" + HEADER + ROWS,
@@ -134,7 +134,7 @@ BAD = {
         (HEADER + ROWS).encode() + b"9,9,9,\xff,1,1\n",
         "line 5: expected UTF-8, or what is clearly Shift-JIS or Windows-1252, got byte 0xff",
     ),
-    "binary": (b"\x00\x01\x02" * 100, "got an unknown format"),
+    "binary": (b"\x00\x01\x02" * 100, "got a binary file that begins with the bytes 00 01 02"),
     "other scale": (
         "# quantity: reflectance, diffuser = 1\n" + HEADER + ROWS,
         "diffuser: expected 100, got 1;",

@@ -232,7 +232,8 @@ def check_picture_path(
     path: str | os.PathLike[str], suffixes: tuple[str, ...] = PICTURE_SUFFIXES
 ) -> None:
     """Raise InputError where a picture could not be written, so before the work is done."""
-    require("pictures", "images")
+    if set(PICTURE_SUFFIXES) <= set(suffixes):  # graphs are written by Matplotlib
+        require("pictures", "images")
     path = Path(path)
     if path.suffix.lower() not in suffixes:
         wanted = ", ".join(suffixes)

@@ -202,7 +202,8 @@ class GBufferFile:
         if not pinhole:
             raise InputError(
                 f"{self.path}: expected normals, or a depth and its camera, got the channels "
-                f"{layers.listing}; give intrinsics or fov_deg, or name the normals' layer"
+                f"{layers.listing}; give `fov_deg` or intrinsics, or name the normals' layer by "
+                "`channels`"
             )
         if self._reading.camera is not None:
             raise at_origin

@@ -28,8 +28,9 @@ from raden_torch.brdf.model.model import CosineDiffuse, Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import Pieces, ReflectanceTable
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.brdf.model.table_errors import TableErrors
-from raden_torch.errors import InputError, check_type
+from raden_torch.errors import InputError, check_type, why
 from raden_torch.files import check_output, check_seekable, written_beside
+from raden_torch.measurement.text_file import head_in_words
 
 FORMAT = "raden_torch model"
 VERSION = 2
@@ -255,13 +256,17 @@ def _read_about(path: Path) -> dict[str, Any]:
         check_seekable(path)
         size = path.stat().st_size
         with path.open("rb") as file:
+            head = file.read(64)
+            if head[8:9] != b"{":
+                raise InputError(ours.replace("another file", head_in_words(head)))
+            file.seek(0)
             start = file.read(8)
             length = struct.unpack("<Q", start)[0] if len(start) == 8 else 0
             if not 2 <= length <= min(size - 8, _MAX_HEADER) or size > _MAX_BYTES:
                 raise InputError(ours)
             header = json.loads(file.read(length))
     except OSError as error:
-        raise InputError(f"{path}: expected a model file, got an error: {error.strerror}") from None
+        raise InputError(f"{path}: expected a model file, got {why(error)}") from None
     except (ValueError, RecursionError) as error:
         if isinstance(error, InputError):
             raise

@@ -33,7 +33,7 @@ def pinhole_matrix(
     height, width = size
     if fov_deg is not None:
         if not 0 < fov_deg < 180:
-            raise InputError(f"fov_deg: expected an angle between 0 and 180, got {fov_deg:g}")
+            raise InputError(f"`fov_deg`: expected an angle between 0 and 180, got {fov_deg:g}")
         if not 0 < pixel_aspect < inf:
             raise InputError(f"pixel aspect ratio: expected above 0, got {pixel_aspect:g}")
         focal = width / 2 / tan(radians(fov_deg) / 2)

@@ -84,7 +84,7 @@ def fit(
         True
     """
     diffuse = "floor" if diffuse is None else diffuse
-    _check(measurement, diffuse, outside)
+    _check(measurement, diffuse, validation, outside)
     table = tabulate(measurement, assume)
     if outside == "continued" and (size := too_large(table)):
         outside = "diffuse"
@@ -93,11 +93,18 @@ def fit(
     return _fitted(measurement, table, diffuse, interpolation, validation, outside, std)
 
 
-def _check(measurement: BrdfMeasurement, diffuse: DiffuseParameters | str, outside: str) -> None:
+def _check(
+    measurement: BrdfMeasurement,
+    diffuse: DiffuseParameters | str,
+    validation: BrdfMeasurement | None,
+    outside: str,
+) -> None:
     hint = "load_measurement reads one from a file"
     check_type("measurement", measurement, BrdfMeasurement, hint)
     if outside not in OUTSIDE:
         raise InputError(f"outside: expected {' or '.join(OUTSIDE)}, got {outside!r}")
+    if validation is not None:
+        check_type("validation", validation, BrdfMeasurement, hint)
     check_type("diffuse", diffuse, (str, DiffuseParameters))
     if isinstance(diffuse, str) and diffuse not in FITS:
         raise InputError(f"diffuse: expected {' or '.join(FITS)}, got {diffuse!r}")

@@ -174,7 +174,9 @@ def _check_sizes(photo: Tensor, normal: Tensor, mask: Tensor) -> None:
             raise InputError(f"{name}: expected shape [B, {channels}, H, W], got {list(m.shape)}")
         if m.shape[2:] != photo.shape[2:]:
             (h, w), (ph, pw) = m.shape[2:], photo.shape[2:]
-            raise InputError(f"{name}: expected the photograph's {pw} x {ph} pixels, got {w} x {h}")
+            raise InputError(
+                f"`{name}`: expected the photograph's {pw} x {ph} pixels, got {w} x {h}"
+            )
     if not (mask > 0).any():
         raise InputError(
             "mask: expected a mask that is above 0 somewhere, got an empty one: nothing would be "

@@ -120,6 +120,11 @@ def shade(
         raise InputError(
             'model: expected a material, got a spectral model; model.under("D65") is one'
         )
+    if not hasattr(model, "of_unit_vectors"):
+        raise InputError(
+            f"model: expected a material, got {type(model).__name__}; fit(…).model is one, "
+            "load_model reads one from a file"
+        )
     check_type("gbuffer", gbuffer, GBuffer, "make it by GBuffer(normal=…, view=…)")
     check_type("tolerance", tolerance, (float, Real))
     if not 0 <= tolerance < float("inf"):

@@ -50,7 +50,8 @@ def sphere(
 def check_rays(shape: str, size: int, samples: int) -> None:
     if size < 1 or samples < 1 or size * samples > 16384:
         raise InputError(
-            f"{shape}: expected 1…16384 rays a side, got size {size} x {samples} samples"
+            f"{shape}: `size`: expected 1…16384 rays a side, got {size} with {samples} samples "
+            "a pixel"
         )
 
 

@@ -24,7 +24,7 @@ from raden_torch.capture.exchange import (
 )
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, native_csv
-from raden_torch.measurement.text_file import head_text, read_head
+from raden_torch.measurement.text_file import head_in_words, head_text, read_head
 
 _TEXT_FORMATS = (
     native_csv,
@@ -88,5 +88,5 @@ def load_measurement(path: str | os.PathLike[str]) -> BrdfMeasurement:
             return fmt.read(path)
     raise InputError(
         f"{path}: expected a measurement, as a CSV with the columns "
-        "incidence_deg,receiving_deg,tilt_deg,X,Y,Z, got an unknown format"
+        f"incidence_deg,receiving_deg,tilt_deg,X,Y,Z, got {head_in_words(head)}"
     )

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.errors import InputError
+from raden_torch.errors import InputError, why
 from raden_torch.files import written_beside
 
 MAGIC = b"tensor_file\0"
@@ -64,9 +64,7 @@ def read_fields(path: Path) -> dict[str, NDArray[Any]]:
             raise InputError(f"{path}: expected at most {MOST_BYTES} bytes, got {size}")
         data = path.read_bytes()
     except OSError as error:
-        raise InputError(
-            f"{path}: expected a tensor file, got an error: {error.strerror}"
-        ) from None
+        raise InputError(f"{path}: expected a tensor file, got {why(error)}") from None
     try:
         return fields_in(data)
     except InputError as error:

@@ -6,6 +6,7 @@ A package brings one by an entry point in the group `raden_torch.goniometer` or
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -48,8 +49,9 @@ def ask_at_terminal(text: str) -> None:
     Raises:
         InputError: nobody is there to answer.
     """
+    print(f"{text} [Return] ", end="", file=sys.stderr, flush=True)
     try:
-        input(f"{text} [Return] ")
+        input()
     except EOFError:
         raise InputError(f"{text!r} needs an operator; run the scan at a terminal") from None
 

@@ -202,14 +202,14 @@ def test_foreign_and_damaged_files_are_refused(model, tmp_path: Path) -> None:
         assert "\n" not in str(error.value)
 
     refused("No such file")
-    for foreign in (
-        b"",
-        b"x",
-        b"incidence_deg,receiving_deg\n" * 10,
-        struct.pack("<Q", 10**10) + b"{",
+    for foreign, what in (
+        (b"", "an empty file"),
+        (b"x", "text that begins with 'x'"),
+        (b"incidence_deg,receiving_deg\n" * 10, "text that begins with 'incidence_deg,"),
+        (struct.pack("<Q", 10**10) + b"{", "another file"),
     ):
         path.write_bytes(foreign)
-        refused("expected a model of raden_torch, got another file")
+        refused(f"expected a model of raden_torch, got {what}")
     from safetensors.torch import save_file
 
     save_file({"a": torch.ones(1)}, path)

@@ -177,7 +177,7 @@ def test_sizes_that_differ_are_named(lambertian) -> None:
     normal, mask = ball()
     lamp = [rt.DirectionalLight((0, 0, 1))]
     with pytest.raises(
-        InputError, match="normals: expected the photograph's 32 x 32 pixels, got 64 x 64"
+        InputError, match="`normals`: expected the photograph's 32 x 32 pixels, got 64 x 64"
     ):
         relight(lambertian, photo(32), normal, mask, lamp)
     with pytest.raises(
