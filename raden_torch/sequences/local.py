@@ -1,0 +1,115 @@
+"""The engine of one machine: threads read and write while the calling thread works."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from typing import Any
+
+from raden_torch.errors import InputError
+from raden_torch.sequences.job import Item, Job, Outcome, Timed
+
+_KEPT = object()
+"""In place of what was read: there is nothing to do."""
+
+
+@dataclass(frozen=True)
+class LocalEngine:
+    """Overlaps the stages of different items.
+
+    Attributes:
+        readers, writers: threads of the first and the last stage.
+        memory: bytes for all items under way, beside what the program takes.
+    """
+
+    readers: int = 2
+    writers: int = 2
+    memory: int = 4 * 1024**3
+
+    def in_flight(self, job: Job[Any, Any, Any, Any]) -> int:
+        """How many items are under way at most: read, waiting, at work, or being written.
+
+        Raises:
+            InputError: not even one fits the memory.
+        """
+        most = self.readers + self.writers + 2
+        room = self.memory - job.bytes_working
+        if room < 0:
+            raise InputError(
+                f"memory: expected at least {job.bytes_working} bytes for one frame, got "
+                f"{self.memory}"
+            )
+        return most if job.bytes_waiting == 0 else min(most, 1 + room // job.bytes_waiting)
+
+    def run(self, job: Job[Item, Any, Any, Any], items: Sequence[Item]) -> Iterator[Outcome[Item]]:
+        """As `Engine.run`."""
+        most = self.in_flight(job)
+        prepared = job.prepare()
+        reading = ThreadPoolExecutor(self.readers, "read")
+        writing = ThreadPoolExecutor(self.writers, "write")
+        try:
+            yield from _Pipeline(job, prepared, reading, writing, most).run(items)
+        finally:
+            for threads in (reading, writing):
+                threads.shutdown(wait=True, cancel_futures=True)
+
+
+class _Pipeline:
+    """The items under way."""
+
+    def __init__(
+        self,
+        job: Job[Any, Any, Any, Any],
+        prepared: Any,
+        reading: ThreadPoolExecutor,
+        writing: ThreadPoolExecutor,
+        most: int,
+    ) -> None:
+        self._job, self._prepared, self._most = job, prepared, most
+        self._reading, self._writing = reading, writing
+        self._reads: dict[Future[Any], Timed] = {}
+        self._writes: dict[Future[bool], Timed] = {}
+
+    def run(self, items: Sequence[Any]) -> Iterator[Outcome[Any]]:
+        waiting = deque(items)
+        while waiting or self._reads or self._writes:
+            while waiting and len(self._reads) + len(self._writes) < self._most:
+                timed = Timed(waiting.popleft())
+                self._reads[self._reading.submit(self._read, timed)] = timed
+            done, _ = wait({*self._reads, *self._writes}, return_when=FIRST_COMPLETED)
+            for outcome in self._finished(done):
+                if outcome.is_last:
+                    waiting.clear()
+                yield outcome
+
+    def _finished(self, done: set[Future[Any]]) -> Iterator[Outcome[Any]]:
+        """Of futures that are done: writes first, since they make room."""
+        for future in done & self._writes.keys():
+            timed = self._writes.pop(future)
+            try:
+                yield timed.outcome("written" if future.result() else "kept")
+            except Exception as error:
+                yield timed.failed(error)
+        for future in done & self._reads.keys():
+            timed = self._reads.pop(future)
+            try:
+                read = future.result()
+                if read is _KEPT:
+                    yield timed.outcome("kept")
+                    continue
+                worked = timed.stage_of("work", self._job.work, self._prepared, read)
+            except Exception as error:
+                yield timed.failed(error)
+                continue
+            write = self._writing.submit(self._write, timed, worked)
+            self._writes[write] = timed
+
+    def _read(self, timed: Timed) -> Any:
+        if self._job.is_done(timed.item):
+            return _KEPT
+        return timed.stage_of("read", self._job.read, self._prepared, timed.item)
+
+    def _write(self, timed: Timed, worked: Any) -> bool:
+        return timed.stage_of("write", self._job.write, self._prepared, worked, timed.item)
