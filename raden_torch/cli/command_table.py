@@ -137,7 +137,7 @@ _COMMANDS = (
         "raden render shell.safetensors --light 1,1,2 -o sphere.png",
     ),
     (
-        "picture_commands:relight",
+        "relight_command:relight",
         "Relight the masked part of photographs; the rest of them is kept.",
         "raden relight box.png --normals n.png --mask m.png --model shell.safetensors "
         "--light 1,1,2 -o relit.png",

@@ -10,10 +10,10 @@ from __future__ import annotations
 import errno
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Literal, Protocol, Self, TypeVar
 
 from raden_torch.errors import InputError
 
@@ -35,8 +35,12 @@ class Job(ABC, Generic[Item, Prepared, Read, Worked]):
 
     @property
     @abstractmethod
-    def shared(self) -> Sequence[Path]:
-        """Files that every item needs, as the model."""
+    def shared(self) -> tuple[Path, ...]:
+        """All files that every item needs, as the model and the surroundings."""
+
+    @abstractmethod
+    def relocated(self, places: Mapping[Path, Path]) -> Self:
+        """The same job with copies of its shared files: `{path in shared: its copy}`."""
 
     @abstractmethod
     def inputs(self, item: Item) -> Sequence[Path]:
@@ -106,7 +110,9 @@ class Outcome(Generic[Item]):
 class Engine(Protocol):
     """Who does the items."""
 
-    def run(self, job: Job[Item, Any, Any, Any], items: Sequence[Item]) -> Iterator[Outcome[Item]]:
+    def run(
+        self, job: Job[Item, Any, Any, Any], items: Sequence[Item]
+    ) -> Generator[Outcome[Item], None, None]:
         """Outcomes as items finish, in any order; one that fails does not keep the others back.
 
         Where the loop is left before its end, by an error or Ctrl-C, items under way are given up

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
@@ -22,11 +22,13 @@ class LocalEngine:
     Attributes:
         readers, writers: threads of the first and the last stage.
         memory: bytes for all items under way, beside what the program takes.
+        prepared: what `Job.prepare` makes, where it has been made already.
     """
 
     readers: int = 2
     writers: int = 2
     memory: int = 4 * 1024**3
+    prepared: Any = None
 
     def in_flight(self, job: Job[Any, Any, Any, Any]) -> int:
         """How many items are under way at most: read, waiting, at work, or being written.
@@ -43,10 +45,20 @@ class LocalEngine:
             )
         return most if job.bytes_waiting == 0 else min(most, 1 + room // job.bytes_waiting)
 
-    def run(self, job: Job[Item, Any, Any, Any], items: Sequence[Item]) -> Iterator[Outcome[Item]]:
+    def room(self, job: Job[Any, Any, Any, Any]) -> dict[str, int]:
+        """`in_flight`, and the bytes that these items may take (`memory_bytes`)."""
+        most = self.in_flight(job)
+        return {
+            "in_flight": most,
+            "memory_bytes": job.bytes_working + (most - 1) * job.bytes_waiting,
+        }
+
+    def run(
+        self, job: Job[Item, Any, Any, Any], items: Sequence[Item]
+    ) -> Generator[Outcome[Item], None, None]:
         """As `Engine.run`."""
         most = self.in_flight(job)
-        prepared = job.prepare()
+        prepared = job.prepare() if self.prepared is None else self.prepared
         reading = ThreadPoolExecutor(self.readers, "read")
         writing = ThreadPoolExecutor(self.writers, "write")
         try:
