@@ -8,6 +8,8 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from typing import Any
 
+import torch
+
 from raden_torch.errors import InputError
 from raden_torch.sequences.job import Item, Job, Outcome, Timed
 
@@ -59,13 +61,17 @@ class LocalEngine:
         """As `Engine.run`."""
         most = self.in_flight(job)
         prepared = job.prepare() if self.prepared is None else self.prepared
-        reading = ThreadPoolExecutor(self.readers, "read")
-        writing = ThreadPoolExecutor(self.writers, "write")
+        threads = torch.get_num_threads()
+        reading, writing = (
+            ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,))
+            for count in (self.readers, self.writers)
+        )
         try:
             yield from _Pipeline(job, prepared, reading, writing, most).run(items)
         finally:
-            for threads in (reading, writing):
-                threads.shutdown(wait=True, cancel_futures=True)
+            for pool in (reading, writing):
+                pool.shutdown(wait=True, cancel_futures=True)
+            torch.set_num_threads(threads)  # what its threads set reaches parts of torch for all
 
 
 class _Pipeline:

@@ -10,7 +10,8 @@ from typing import Any, Self
 
 from raden_torch.errors import InputError
 from raden_torch.files import write_once
-from raden_torch.images.openimageio import opened
+from raden_torch.images.openimageio import opened, openimageio
+from raden_torch.packages import require
 from raden_torch.sequences.frames import frame_path
 from raden_torch.sequences.job import Job, Prepared, Read, Worked
 
@@ -96,6 +97,16 @@ class PictureJob(Job[int, Prepared, Read, Worked]):
 
     def relocated(self, places: Mapping[Path, Path]) -> Self:
         return relocated(self, places)
+
+
+def import_codecs() -> None:
+    """Import what reads and writes pictures, before threads do: while OpenCV is being imported,
+    another thread finds it missing."""
+    require("pictures", "images")
+    import cv2  # noqa: F401
+    from PIL import Image  # noqa: F401
+
+    openimageio()
 
 
 def relocated(settings: Any, places: Mapping[Path, Path]) -> Any:

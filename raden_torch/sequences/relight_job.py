@@ -27,7 +27,7 @@ from raden_torch.brdf.shading.relight import matching_gain, shaded_under
 from raden_torch.relighting import Layout, Surface, original_lamp, relit_photograph
 from raden_torch.sequences.frames import frame_path, frames_on_disk, is_pattern
 from raden_torch.sequences.lighting import UNSAID, Lighting
-from raden_torch.sequences.picture_job import UNKNOWN, PictureJob, Shape
+from raden_torch.sequences.picture_job import UNKNOWN, PictureJob, Shape, import_codecs
 from raden_torch.sequences.plan import check_pattern, first_like, frames_to_do
 
 _BYTES_WAITING, _BYTES_WORKING, _BYTES_A_TILE = 48, 400, 120
@@ -104,6 +104,7 @@ class RelightJob(PictureJob[Scene, Taken, Photograph]):
         return height * width * (_BYTES_WORKING + _BYTES_A_TILE * tiles)
 
     def prepare(self) -> Scene:
+        import_codecs()
         model = load_lit(self.model)
         surface = None if len(self.patterns) > 1 else self._surface(model, self.first)
         return Scene(model, self.lighting.lights(), surface)

@@ -26,7 +26,7 @@ from raden_torch.images.exr_file import ExrFile
 from raden_torch.pictures import SHAPES, load_material
 from raden_torch.sequences.frames import frame_path, frames_on_disk, is_pattern
 from raden_torch.sequences.lighting import UNSAID, Lighting
-from raden_torch.sequences.picture_job import UNKNOWN, PictureJob, Shape
+from raden_torch.sequences.picture_job import UNKNOWN, PictureJob, Shape, import_codecs
 from raden_torch.sequences.plan import (
     check_pattern,
     exposed_alike,
@@ -102,6 +102,7 @@ class RenderJob(PictureJob[Lit, GBuffer, Tensor]):
         return height * width * (BYTES_A_PIXEL + gathered + channels)
 
     def prepare(self) -> Lit:
+        import_codecs()
         model = load_material(self.model, self.illuminant, self.white)
         lights = self.lighting.lights() or SHAPES["sphere"].lights
         return Lit(model, [self.reading.light(light) for light in lights])

@@ -109,6 +109,7 @@ class Report:
             missing=self._missing,
             stopped_by=stopped_by or ("full disk" if self.is_full else None),
             seconds=round(self.seconds, 3),
+            exit_code=self.exit_code,
         )
 
 

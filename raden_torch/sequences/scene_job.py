@@ -10,7 +10,7 @@ from torch import Tensor
 
 from raden_torch.brdf.files.display import Display
 from raden_torch.scene.scene import Scene
-from raden_torch.sequences.picture_job import PictureJob
+from raden_torch.sequences.picture_job import PictureJob, import_codecs
 from raden_torch.sequences.plan import exposed_alike, frames_to_do
 
 _BYTES_A_PIXEL = 24
@@ -48,6 +48,7 @@ class SceneJob(PictureJob[Scene, int, Tensor]):
         return height * width * _BYTES_A_PIXEL
 
     def prepare(self) -> Scene:
+        import_codecs()
         return Scene.read(self.scene, width=self.width, samples=self.samples)
 
     def read(self, prepared: Scene, item: int) -> int:
@@ -67,6 +68,7 @@ def plan_scene(job: SceneJob, scene: Scene, frames: Sequence[int]) -> tuple[Scen
         scene: what `job.prepare` makes. Where the exposure is to be found, its first frame is
             rendered.
     """
+    import_codecs()
     job.display.check_path(job.output(frames[0]))
     left, to_do = frames_to_do(job, frames, skip_missing=False)
     width, height = scene.picture_size

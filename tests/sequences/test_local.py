@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -28,8 +28,11 @@ class Counting(Job[int, int, int, int]):
     lock: threading.Lock = field(default_factory=threading.Lock)
 
     @property
-    def shared(self) -> Sequence[Path]:
+    def shared(self) -> tuple[Path, ...]:
         return ()
+
+    def relocated(self, places: Mapping[Path, Path]) -> Counting:
+        return self
 
     @property
     def bytes_waiting(self) -> int:
