@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -17,18 +18,34 @@ _KEPT = object()
 """In place of what was read: there is nothing to do."""
 
 
+def _processors() -> int:
+    """Those that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _readers() -> int:
+    return min(max(_processors() // 4, 2), 4)
+
+
+def _writers() -> int:
+    return min(max(_processors() // 3, 2), 6)  # to compress takes longer than to decompress
+
+
 @dataclass(frozen=True)
 class LocalEngine:
     """Overlaps the stages of different items.
 
     Attributes:
-        readers, writers: threads of the first and the last stage.
+        readers, writers: threads of the first and the last stage; two of each, or more where there
+            are more than eight processors.
         memory: bytes for all items under way, beside what the program takes.
         prepared: what `Job.prepare` makes, where it has been made already.
     """
 
-    readers: int = 2
-    writers: int = 2
+    readers: int = field(default_factory=_readers)
+    writers: int = field(default_factory=_writers)
     memory: int = 4 * 1024**3
     prepared: Any = None
 

@@ -122,7 +122,7 @@ def test_a_closed_folder_is_a_frames_failure(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("memory", "most"), [(100, 1), (250, 2), (399, 3), (100_000, 6)])
 def test_memory_bounds_what_is_under_way(tmp_path: Path, memory: int, most: int) -> None:
     job = Counting(tmp_path, waits=100)
-    engine = LocalEngine(memory=memory)
+    engine = LocalEngine(readers=2, writers=2, memory=memory)
     assert engine.in_flight(job) == most
     assert len(list(engine.run(job, range(30)))) == 30
     assert job.most <= most
