@@ -8,6 +8,8 @@ uncompressed), on the disk of `--folder`. In turn, several rounds, milliseconds 
   whole               what `raden render --frames` does
   in turn             the three stages of each frame one after the other, on one thread
 
+`engine alone` is the engine with stages that wait and use no processor.
+
 `share_of_slowest` is the slowest of read, work and write over the whole, `share_of_disk` is disk
 over the whole. `cpu_over_stages` is the whole's processor time over that of the three stages alone:
 what the overlap costs. `busy` is this program's processor time over wall-clock time and processors,
@@ -26,7 +28,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -40,7 +42,7 @@ from raden_torch.brdf.model import simd
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.images.exr import write_channels
 from raden_torch.images.openimageio import openimageio
-from raden_torch.sequences.job import done_alone
+from raden_torch.sequences.job import Job, done_alone
 from raden_torch.sequences.lighting import Lighting
 from raden_torch.sequences.local import LocalEngine
 from raden_torch.sequences.render_job import Lit, RenderJob, plan_render
@@ -118,6 +120,52 @@ def write_frames(folder: Path, count: int, size: tuple[int, int], half: bool, ho
         file = oiio.ImageOutput.create("openexr")
         done = file.open(str(path), spec) and file.write_image(pixels) and file.close()
         assert done, file.geterror()
+
+
+@dataclass(frozen=True)
+class Waiting(Job[int, None, None, None]):
+    """Stages that wait, as a network disk or a GPU lets a processor wait: no processor is used."""
+
+    seconds: tuple[float, float, float] = (0.1, 0.05, 0.08)
+
+    @property
+    def shared(self) -> tuple[Path, ...]:
+        return ()
+
+    def relocated(self, places: Mapping[Path, Path]) -> Waiting:
+        return self
+
+    def inputs(self, item: int) -> tuple[Path, ...]:
+        return ()
+
+    def output(self, item: int) -> Path:
+        return Path(str(item))
+
+    def prepare(self) -> None:
+        return None
+
+    def is_done(self, item: int) -> bool:
+        return False
+
+    def read(self, prepared: None, item: int) -> None:
+        time.sleep(self.seconds[0])
+
+    def work(self, prepared: None, read: None) -> None:
+        time.sleep(self.seconds[1])
+
+    def write(self, prepared: None, worked: None, item: int) -> bool:
+        time.sleep(self.seconds[2])
+        return True
+
+
+def engine_alone(count: int = 50) -> dict[str, float]:
+    """One thread a stage, stages that wait: the slowest of them over the whole."""
+    job = Waiting()
+    engine = LocalEngine(readers=1, writers=1, prepared=())
+    ms = timed(lambda: list(engine.run(job, range(count))), count)["ms"]
+    # the first item passes through all stages before any overlap
+    first = 1e3 * (sum(job.seconds) - max(job.seconds)) / count
+    return {"ms": round(ms, 2), "share_of_slowest": round(1e3 * max(job.seconds) / (ms - first), 3)}
 
 
 def others(kind: type[RenderJob], job: RenderJob, **more: Any) -> RenderJob:
@@ -266,8 +314,10 @@ def main() -> None:
         "machine": f"{platform.machine()}, {len(os.sched_getaffinity(0))} processors",
         "kernel": simd.level(),
         "size": size,
+        "engine_alone": engine_alone(),
         "kinds": {},
     }
+    print("engine alone", results["engine_alone"])
     for kind in KINDS:
         with tempfile.TemporaryDirectory(dir=asked.folder) as folder:
             found = measured(kind, size, asked.frames, asked.rounds, Path(folder))

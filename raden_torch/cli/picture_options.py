@@ -120,7 +120,8 @@ class GBufferOptions(ExrOptions):
     tolerance: float = 0.0
     """for an EXR: the largest error of a pixel's radiance that is accepted to save time"""
     memory: Bytes = 4 * 1024**3
-    """for an EXR lit into an .exr: shade it in bands within this much memory"""
+    """for an EXR lit into an .exr: shade it in bands within this much memory; for --frames: that of
+    all frames under way"""
     shadows: bool = False
     """what the EXR shows casts shadows of the lamps; needs positions and their --camera, or depth
     and --fov"""

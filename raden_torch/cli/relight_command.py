@@ -54,7 +54,7 @@ class RelightOptions:
     green: Literal["opengl", "directx"] = "opengl"
     """which way green points in the normal map"""
     memory: Bytes = 4 * 1024**3
-    """for --frames: frames are under way together within this much memory"""
+    """for --frames: that of all frames under way"""
 
     def __post_init__(self) -> None:
         if sum((self.strip is not None, self.sheet is not None, bool(self.light))) > 1:

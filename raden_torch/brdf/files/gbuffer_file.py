@@ -96,7 +96,7 @@ class GBufferFile:
         memory: bytes that a band may take with all that shading it and writing it needs; where
             None, the whole file is one band.
         palette, turns: as for `read_gbuffer`.
-        is_checked: whether what seems to be declared wrongly is warned of; a sequence needs it once.
+        is_checked: whether what seems to be declared wrongly is warned of.
     """
 
     def __init__(
