@@ -121,13 +121,13 @@ class _Pipeline:
 
     def _finished(self, done: set[Future[Any]]) -> Iterator[Outcome[Any]]:
         """Of futures that are done: writes first, since they make room."""
-        for future in done & self._writes.keys():
+        for future in [f for f in self._writes if f in done]:
             timed = self._writes.pop(future)
             try:
                 yield timed.outcome("written" if future.result() else "kept")
             except Exception as error:
                 yield timed.failed(error)
-        for future in done & self._reads.keys():
+        for future in [f for f in self._reads if f in done]:  # in the items' order
             timed = self._reads.pop(future)
             try:
                 read = future.result()
