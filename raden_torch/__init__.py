@@ -15,6 +15,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "BrdfMeasurement": "raden_torch.measurement",
     "DirectionalLight": "raden_torch.brdf.shading.lights",
+    "FrameDataset": "raden_torch.sequences.dataset",
     "GBuffer": "raden_torch.brdf.shading.gbuffer",
     "PointLight": "raden_torch.brdf.shading.lights",
     "RadenBrdf": "raden_torch.brdf.model.model",
@@ -33,6 +34,7 @@ _HOMES = {
 __all__ = [
     "BrdfMeasurement",
     "DirectionalLight",
+    "FrameDataset",
     "GBuffer",
     "PointLight",
     "RadenBrdf",
@@ -60,6 +62,7 @@ if TYPE_CHECKING:
     from raden_torch.geometry import raden_angles, vectors_from_angles
     from raden_torch.measurement import BrdfMeasurement
     from raden_torch.optics import simulate_specimen
+    from raden_torch.sequences.dataset import FrameDataset
 
 
 def __getattr__(name: str) -> Any:

@@ -33,7 +33,7 @@ from raden_torch.optics import simulate_specimen
 from raden_torch.pictures import render_shape, save_picture
 from raden_torch.plots import draw, save_plot
 from raden_torch.relighting import relight_files
-from raden_torch.scene.animation import render_frames
+from raden_torch.scene.animation import render_moving
 from raden_torch.scene.scene import Scene
 from raden_torch.scene.scene_file import (
     AnimationTable,
@@ -148,7 +148,7 @@ def _scene(out: Path, size: int) -> list[Figure]:
     scene.display.write(scene.frame(), out / "box.png", scene.caption)
     small = scene.resized((size // 2, size // 2 * 9 // 16))
     frames = range(1, _TURNING_FRAMES + 1)
-    render_frames(small, frames, out / "box_turning.webp", scene.display)
+    render_moving(small, frames, out / "box_turning.webp", scene.display)
     text = "Black urushi, gold powder and raden of four simulated shells by a paper window"
     return [
         Figure("box.png", "A maki-e box", f"{text}: raden render scene.toml, docs/scenes.md."),

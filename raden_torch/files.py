@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
@@ -117,7 +117,7 @@ def written_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
     target = check_writable(path)
     real = _behind_links(target)
     # the name is known before the file is there: whatever interrupts, it is found and removed
-    temporary = real.with_name(f".{real.stem[:40]}.{token_hex(4)}{target.suffix}")
+    temporary = _beside(real, target.suffix)
     try:
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
@@ -153,6 +153,60 @@ def sync_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def write_once(
+    path: str | os.PathLike[str], write: Callable[[Path], object], *, replace: bool = False
+) -> bool:
+    """Put in place what `write` makes beside, whole, unless a file is there by then.
+
+    Several processes may write the same file: the first one counts.
+
+    Args:
+        write: makes the file whose path it is called with; its errors name ``path`` instead.
+        replace: put it in place of a file that is there.
+
+    Returns:
+        Whether it was put in place.
+
+    Raises:
+        InputError, OSError: as for `written_beside`; whatever `write` raises.
+    """
+    target = check_writable(path)
+    real = _behind_links(target)
+    temporary = _beside(real, target.suffix)
+    try:
+        write(temporary)
+        if replace:
+            os.replace(temporary, real)
+            return True
+        return _put_in_place(temporary, real)
+    except OSError as error:
+        if error.filename not in (None, str(temporary), temporary):
+            raise  # of another file
+        raise OSError(error.errno, error.strerror or str(error), str(target)) from None
+    except InputError as error:
+        raise InputError(str(error).replace(str(temporary), str(target))) from None
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def _put_in_place(temporary: Path, real: Path) -> bool:
+    """Give the file its name, unless that is taken."""
+    try:
+        os.link(temporary, real)
+    except FileExistsError:
+        return False
+    except OSError:  # the file system has no hard links
+        if real.exists():
+            return False
+        os.replace(temporary, real)
+    return True
+
+
+def _beside(real: Path, suffix: str) -> Path:
+    return real.with_name(f".{real.stem[:40]}.{token_hex(4)}{suffix}")
 
 
 def _behind_links(path: Path) -> Path:

@@ -10,6 +10,7 @@ _IMAGES = {
     "cv2": "opencv-contrib-python-headless",
     "OpenImageIO": "OpenImageIO",
     "PIL": "pillow",
+    "fileseq": "fileseq",
 }
 _SPECTRAL = {"colour": "colour-science"}
 _PLOTS = {"matplotlib": "matplotlib", **_SPECTRAL}

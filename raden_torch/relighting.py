@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor
@@ -15,7 +15,6 @@ from raden_torch.brdf.files.caption import caption_of
 from raden_torch.brdf.files.display import (
     AS_IT_IS,
     Display,
-    auto_exposure_ev,
     key_exposure_ev,
 )
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
@@ -35,16 +34,52 @@ from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.lights import DirectionalLight, Light
 from raden_torch.brdf.shading.relight import Gain, relight, relit_under, tiled
+from raden_torch.contact_sheet import contact_sheet
 from raden_torch.errors import InputError
 from raden_torch.files import check_outputs
 
 Layout = Literal["picture", "strip", "sheet"]
 """Of what `relight_files` writes."""
 
-_MARGIN = 0.06
-"""Of the object's size, around it in a sheet."""
-_EXPOSED_FOR = 0.95
-"""The share of the relit pixels that a sheet shows without clipping: sparkles may clip."""
+
+@dataclass(frozen=True)
+class Surface:
+    """What is relit in a photograph.
+
+    Attributes:
+        normal: `[1, 3, H, W]`; coverage: `[1, 1, H, W]`, 0…1.
+        material: of a palette, `tangent` of a model of several azimuths, as in `GBuffer`.
+    """
+
+    normal: Tensor
+    coverage: Tensor
+    material: Tensor | None
+    tangent: Tensor | None
+
+    @classmethod
+    def read(
+        cls,
+        model: Reflection,
+        path: Path,
+        normals: Path,
+        mask: Path | None,
+        green: Green = "opengl",
+        reading: GBufferReading = USUAL,
+    ) -> Surface:
+        """Of files, as `relight_files` reads them.
+
+        Args:
+            path: of the model, for messages.
+        """
+        tangent = None
+        if reading.tangent is not None:
+            if not takes_tangent(model):
+                raise no_tangent(f"{path}: tangent")
+            tangent = torch.as_tensor(reading.tangent, dtype=torch.float32).view(1, 3, 1, 1)
+        of_normals = replace(reading, material=None, tangent=None)
+        normal = read_normal_map(normals, green, **vars(of_normals))
+        coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
+        return cls(normal, coverage, _material(model, reading.material, normal, coverage), tangent)
 
 
 def relight_files(
@@ -89,30 +124,43 @@ def relight_files(
     known = original if isinstance(original, Path) else None
     check_outputs(*targets, inputs=(*photos, normals, mask, model, known, reading.material))
     loaded = load_lit(model)
-    tangent = None
-    if reading.tangent is not None:
-        if not takes_tangent(loaded):
-            raise no_tangent(f"{model}: tangent")
-        tangent = torch.as_tensor(reading.tangent, dtype=torch.float32).view(1, 3, 1, 1)
-    of_normals = replace(reading, material=None, tangent=None)
-    normal = read_normal_map(normals, green, **vars(of_normals))
-    coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
-    material = _material(loaded, reading.material, normal, coverage)
+    surface = Surface.read(loaded, model, normals, mask, green, reading)
     for path, target in zip(photos, targets, strict=True):
         photo = read_photograph(path, coded=coded)
         check_photograph(photo, target, display)
-        before = None if original is None else [_original_lamp(original, path)]
-        scene = (loaded, photo.linear, normal, coverage)
-        is_linear = target.suffix.lower() == ".exr" or photo.levels is None
-        shown = replace(display, tone="srgb") if is_linear else display
+        before = None if original is None else [original_lamp(original, path)]
         try:
-            relit = _relit(scene, (material, tangent), lights, layout, shown, before)
+            made = relit_photograph(
+                loaded, photo, surface, lights, layout, display, before, path=path, target=target
+            )
         except InputError as error:  # of which of several?
             raise InputError(f"{path}: {error}") from None
-        alpha = _alpha_of(photo, path, layout, len(lights))
-        made = replace(photo, linear=relit, alpha=alpha)
         write_photograph(made, target, caption_of(loaded), display=display)
     return targets
+
+
+def relit_photograph(
+    model: Reflection,
+    photo: Photograph,
+    surface: Surface,
+    lights: Sequence[Light],
+    layout: Layout,
+    display: Display,
+    original: Sequence[Light] | None,
+    *,
+    path: Path,
+    target: Path,
+) -> Photograph:
+    """One photograph under new lights, as `relight_files` writes it.
+
+    Args:
+        original: the lamp it was taken under, where its texture is kept.
+        path, target: its file, and the one that it is going to be.
+    """
+    is_linear = target.suffix.lower() == ".exr" or photo.levels is None
+    shown = replace(display, tone="srgb") if is_linear else display
+    relit = _relit(model, photo.linear, surface, lights, layout, shown, original)
+    return replace(photo, linear=relit, alpha=_alpha_of(photo, path, layout, len(lights)))
 
 
 def _material(
@@ -136,44 +184,35 @@ def _material(
 
 
 def _relit(
-    scene: tuple[Reflection, Tensor, Tensor, Tensor],
-    chosen: tuple[Tensor | None, Tensor | None],
+    model: Reflection,
+    photo: Tensor,
+    surface: Surface,
     lights: Sequence[Light],
     layout: Layout,
     display: Display,
     original: Sequence[Light] | None,
 ) -> Tensor:
-    """`[1, 3, …]`; the scene is a model, a photograph, normals and a mask, as for `relight`; what
-    is chosen are its material and tangent."""
-    material, tangent = chosen
+    """`[1, 3, …]`."""
     gain: Gain | None = 2.0**display.linear_stops
     if isinstance(display.exposure, str):
         gain = None if display.exposure == "auto" else _gain_by_key
+    chosen: dict[str, Any] = {
+        "gain": gain,
+        "original": original,
+        "material": surface.material,
+        "tangent": surface.tangent,
+        "curve": display.curved,
+    }
+    scene = (model, photo, surface.normal, surface.coverage, lights)
     with torch.no_grad():
         if layout == "picture":
-            return relight(
-                *scene,
-                lights,
-                gain=gain,
-                original=original,
-                material=material,
-                tangent=tangent,
-                curve=display.curved,
-            )
-        tiles = relit_under(
-            *scene,
-            lights,
-            gain=gain,
-            original=original,
-            material=material,
-            tangent=tangent,
-            curve=display.curved,
-        )
+            return relight(*scene, **chosen)
+        tiles = relit_under(*scene, **chosen)
         if layout == "strip":
             return tiled(tiles, len(lights))
         # lamps of another kind were refused: they need positions
         lamps = cast(Sequence[DirectionalLight], lights)
-        return _sheet(tiles, scene[3], lamps, exposed=display.exposure == "auto")
+        return contact_sheet(tiles, surface.coverage, lamps, exposed=display.exposure == "auto")
 
 
 def _gain_by_key(lit: Tensor, mask: Tensor) -> float:
@@ -191,43 +230,7 @@ def _alpha_of(photo: Photograph, path: Path, layout: Layout, lamps: int) -> Tens
     return None
 
 
-def _sheet(
-    tiles: Tensor, mask: Tensor, lamps: Sequence[DirectionalLight], *, exposed: bool
-) -> Tensor:
-    """`[1, 3, …]`: the tiles cut to the mask, in rows, with dials, exposed together."""
-    rows, columns = (m.flatten() for m in torch.nonzero(mask[0, 0] > 0, as_tuple=True))
-    margin = max(4, int(_MARGIN * max(rows.max() - rows.min(), columns.max() - columns.min())))
-    top, bottom = int(rows.min()) - margin, int(rows.max()) + margin + 1
-    left, right = int(columns.min()) - margin, int(columns.max()) + margin + 1
-    window = (..., slice(max(top, 0), bottom), slice(max(left, 0), right))
-    cut, inside = tiles[window], (mask[window] > 0.5).to(tiles.dtype)
-    if exposed:
-        cut = cut * 2.0 ** auto_exposure_ev((cut * inside)[:, 0], share=_EXPOSED_FOR)
-    for tile, lamp in zip(cut, lamps, strict=True):
-        _draw_dial(tile[0], lamp)
-    height, width = cut.shape[-2:]
-    # as near to a 3:2 picture as whole rows allow
-    wanted = max(1, round((1.5 * len(lamps) * height / width) ** 0.5))
-    fits = [n for n in range(1, len(lamps) + 1) if len(lamps) % n == 0] or [wanted]
-    return tiled(cut, min(fits, key=lambda n: abs(n - wanted)))
-
-
-def _draw_dial(tile: Tensor, lamp: DirectionalLight) -> None:
-    """A disc in the lower right corner of `[3, H, W]`: the hemisphere, a dot where the lamp is."""
-    height, width = tile.shape[-2:]
-    r = max(5.0, 0.05 * min(height, width))
-    y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
-    x, y = x - (width - 1 - 1.6 * r), (height - 1 - 1.6 * r) - y
-    direction = torch.as_tensor(lamp.direction, dtype=torch.float64)
-    dx, dy, _ = (direction / direction.norm() * r).tolist()
-    away = torch.hypot(x.double(), y.double())
-    rim = (1 - (away - r).abs()).clamp(0, 1)
-    dot = (0.28 * r + 1 - torch.hypot(x - dx, y - dy)).clamp(0, 1)
-    for value, cover in ((0.0, (away < r).double() * 0.6), (0.35, rim), (0.9, dot)):
-        tile += cover.to(tile.dtype) * (value - tile)
-
-
-def _original_lamp(
+def original_lamp(
     original: Path | tuple[float, float, float], photograph: Path
 ) -> DirectionalLight:
     """The lamp that a photograph was taken under."""

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from raden_torch.brdf.shading.relight import lamp_ring
-from raden_torch.relighting import _sheet
+from raden_torch.contact_sheet import contact_sheet
 
 H, W = 120, 150
 MARGIN = 4  # pixels: 6 % of the object's size, and no fewer
@@ -28,7 +28,7 @@ def square_mask() -> Tensor:
 @pytest.mark.parametrize(("count", "across"), [(1, 1), (4, 2), (6, 3), (12, 4)])
 def test_the_masks_part_stands_under_each_lamp_in_rows(count: int, across: int) -> None:
     """Expected: tiles of 48 x 68 pixels, lamp by lamp in reading order; near 3:2 as a whole."""
-    sheet = _sheet(tiles(count), square_mask(), lamp_ring(count), exposed=False)
+    sheet = contact_sheet(tiles(count), square_mask(), lamp_ring(count), exposed=False)
     height, width = 40 + 2 * MARGIN, 60 + 2 * MARGIN
     assert sheet.shape == (1, 3, count // across * height, across * width)
     corners = sheet[0, 0, ::height, ::width].flatten()
@@ -37,8 +37,8 @@ def test_the_masks_part_stands_under_each_lamp_in_rows(count: int, across: int) 
 
 def test_without_a_gain_the_mask_is_exposed() -> None:
     """Brighter than before, but not the dark around it: the sheet's brightest tile is near 1."""
-    plain = _sheet(tiles(4), square_mask(), lamp_ring(4), exposed=False)
-    exposed = _sheet(tiles(4), square_mask(), lamp_ring(4), exposed=True)
+    plain = contact_sheet(tiles(4), square_mask(), lamp_ring(4), exposed=False)
+    exposed = contact_sheet(tiles(4), square_mask(), lamp_ring(4), exposed=True)
     first, last = exposed[0, 0, 0, 0], exposed[0, 0, 48, 68]
     assert last / first == pytest.approx(4.0)
     assert last / plain[0, 0, 48, 68] == first / plain[0, 0, 0, 0]
@@ -50,7 +50,7 @@ def test_without_a_gain_the_mask_is_exposed() -> None:
 def test_the_dials_dot_is_where_the_lamp_is(turn: int, elevation_deg: float) -> None:
     """Expected: right, up, left, down of the dial's centre, nearer to it the higher the lamp."""
     lamp = lamp_ring(4, elevation_deg)[turn]
-    sheet = _sheet(torch.zeros(1, 1, 3, H, W), torch.ones(1, 1, H, W), [lamp], exposed=False)
+    sheet = contact_sheet(torch.zeros(1, 1, 3, H, W), torch.ones(1, 1, H, W), [lamp], exposed=False)
     radius = 0.05 * H
     centre_x, centre_y = W - 1 - 1.6 * radius, H - 1 - 1.6 * radius
     rows, columns = torch.nonzero(sheet[0, 0] > 0.8, as_tuple=True)

@@ -15,6 +15,7 @@ import raden_torch
 NAMES = {
     "BrdfMeasurement",
     "DirectionalLight",
+    "FrameDataset",
     "GBuffer",
     "PointLight",
     "RadenBrdf",
@@ -32,10 +33,10 @@ NAMES = {
 
 
 def test_the_names_are_these() -> None:
-    """A name taken away breaks users; one added is kept for ever: at most 15. Change both on
+    """A name taken away breaks users; one added is kept for ever: at most 16. Change both on
     purpose, with a line in CHANGELOG.md."""
     assert sorted(raden_torch.__all__) == sorted(NAMES)
-    assert len(NAMES) <= 15
+    assert len(NAMES) <= 16
 
 
 def test_every_name_is_there_and_documented() -> None:

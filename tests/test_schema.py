@@ -29,7 +29,7 @@ from raden_torch.capture.spectrometer.plan_json import plan_from_json
 from raden_torch.capture.spectrometer.rig_config import load_rig
 from raden_torch.errors import InputError
 from raden_torch.info.kinds import describe_file
-from raden_torch.relighting import _original_lamp
+from raden_torch.relighting import original_lamp
 from raden_torch.schema import Finite, Matrix, Positive, Text, Triple, checked, read_document
 
 GONE = object()
@@ -124,7 +124,7 @@ READERS: dict[str, list[Callable[[Path], object]]] = {
     "lights": [read_lamps, describe_file],
     "camera": [read_camera, read_poses, describe_file],
     "colour": [read_colour, lambda path: chart_white(path, WhiteFactorSpec("99")), describe_file],
-    "normals": [lambda path: _original_lamp(path, Path("a.png")), describe_file],
+    "normals": [lambda path: original_lamp(path, Path("a.png")), describe_file],
     "brdf": [describe_file],
 }
 READING = {"range": "ok", "xyz": [1, 2, 3], "integration_s": None, "time_s": 1e9}

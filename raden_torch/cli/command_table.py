@@ -142,12 +142,12 @@ _COMMANDS = (
     ),
     (
         "picture_commands:render",
-        "Light a shape, or an EXR G-buffer, with a model; render a scene file, also its frames.",
+        "Light a shape, an EXR G-buffer, or a sequence of them, with a model; render a scene file.",
         "raden render shell.safetensors --light 1,1,2 -o sphere.png",
     ),
     (
-        "picture_commands:relight",
-        "Relight the masked part of photographs; the rest of them is kept.",
+        "relight_command:relight",
+        "Relight the masked part of photographs, or of a sequence; the rest of them is kept.",
         "raden relight box.png --normals n.png --mask m.png --model shell.safetensors "
         "--light 1,1,2 -o relit.png",
     ),

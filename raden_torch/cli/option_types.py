@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin
 
 from cyclopts import Parameter, convert
 
+from raden_torch.errors import InputError
+
 if TYPE_CHECKING:
     from cyclopts import Token
 
@@ -141,15 +143,13 @@ def _limits(text: str) -> tuple[float, float]:
     return number(low), number(high)
 
 
-def _frames(text: str) -> range:
-    first, dash, last = text.partition("-")
+def _frames(text: str) -> tuple[int, ...]:
+    from raden_torch.sequences.frames import frame_numbers
+
     try:
-        numbers = range(int(first), int(last if dash else first) + 1)
-    except ValueError:
-        raise ValueError(f"expected a frame or a range, as 1-48, got {text}") from None
-    if not numbers or numbers[0] < 1 or len(numbers) > 100_000:
-        raise ValueError(f"expected frames from 1, the last not before the first, got {text}")
-    return numbers
+        return frame_numbers(text)
+    except InputError as error:
+        raise ValueError(str(error).removeprefix("frames: ")) from None
 
 
 def _squares(text: str) -> tuple[int, int]:
@@ -220,6 +220,11 @@ class LampOption:
         return (PointLight if self.is_point else DirectionalLight)(self.position)
 
 
+def lights_of(lamps: Sequence[LampOption]) -> list[Light]:
+    """The same for the library."""
+    return [lamp.light for lamp in lamps]
+
+
 def _lamp_or_file(text: str) -> tuple[float, float, float] | Path:
     return Path(text) if text.endswith(".json") else _triple(text)
 
@@ -230,7 +235,7 @@ Exposed = Annotated[
 ]
 Bytes = Annotated[int, _read(_bytes, "SIZE", show_default=lambda size: f"{size >> 30}G")]
 Limits = Annotated[tuple[float, float], _read(_limits, "FIRST:LAST")]
-Frames = Annotated[range | None, _read(_frames, "FIRST-LAST", show_default=False)]
+Frames = Annotated[tuple[int, ...] | None, _read(_frames, "FIRST-LASTxSTEP,…", show_default=False)]
 Squares = Annotated[tuple[int, int], _read(_squares, "COLUMNSxROWS")]
 CornersPx = Annotated[Points, _read(_corners_px, "POINTS")]
 Region = Annotated[Points, _read(_region, "POINTS")]

@@ -1,34 +1,29 @@
-"""Pictures: render, relight, demo."""
+"""Pictures: render, demo."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, cast
 
 from cyclopts import Parameter
 
 from raden_torch.cli.option_types import (
-    LampOption,
-    LampOrFile,
     Lamps,
-    ModelFile,
     RenderedModel,
     Triple,
-    files,
+    lights_of,
     output,
 )
 from raden_torch.cli.picture_options import (
     DisplayOptions,
     EnvironmentOptions,
-    ExrOptions,
     GBufferOptions,
-    RelitDisplayOptions,
-    SceneOptions,
     SpectrumOptions,
 )
-from raden_torch.cli.status import console, progress, without_other_inputs, working
+from raden_torch.cli.sequence_options import SequenceOptions
+from raden_torch.cli.status import console, progress, working
 from raden_torch.errors import InputError
 from raden_torch.files import check_output, check_outputs
 from raden_torch.packages import require
@@ -93,7 +88,7 @@ def render(
         Path | None, Parameter(help="an EXR with normals or depth to light, instead of a shape")
     ] = None,
     exr: GBufferOptions = GBufferOptions(),
-    scene: SceneOptions = SceneOptions(),
+    sequence: SequenceOptions = SequenceOptions(),
     std: Annotated[
         Path | None,
         Parameter(
@@ -103,20 +98,31 @@ def render(
     ] = None,
 ) -> None:
     if model.suffix.lower() == ".toml":
+        from raden_torch.cli.scene_command import render_scene
+
         own = (light, around, spectrum, gbuffer, exr, shape.shape, shape.camera, std)
-        _render_scene(model, output, display, shape, scene, is_plain=own == _NO_SCENE_OF_ITS_OWN)
+        is_plain = own == _NO_SCENE_OF_ITS_OWN
+        render_scene(model, output, display, shape.size, shape.samples, sequence, is_plain=is_plain)
         return
-    if scene != SceneOptions():
-        raise InputError(f"{model}: `frames` and `resume` go with a scene file (.toml)")
+    if sequence.frames is not None:
+        if std is not None:
+            raise InputError("--std: expected one picture, got --frames")
+        _render_frames(
+            model, output, light, around, spectrum, display, gbuffer, exr, shape.camera, sequence
+        )
+        return
     from raden_torch.pictures import load_material, save_picture
+    from raden_torch.sequences.plan import check_no_pattern
 
     shown_by = display.display
     shown_by.check_path(output)
     read = (model, gbuffer, around.environment, exr.material, exr.camera_file, *spectrum.files)
     check_output(output, inputs=read)
-    lights = [*_lights(light), *around.lights()]
+    lights = [*lights_of(light), *around.lights()]
     if gbuffer is None:
         exr.check_without_gbuffer()
+    else:
+        check_no_pattern(gbuffer)
     if std is not None:
         _check_std(std, output, read, shape, exr)
     loaded = load_material(model, spectrum.illuminant, spectrum.white)
@@ -230,124 +236,40 @@ _NO_SCENE_OF_ITS_OWN = (
 """`render`'s options that a scene file says itself, as they are where none is given."""
 
 
-def _render_scene(
-    path: Path,
+def _render_frames(
+    model: Path,
     output: Path,
+    light: Lamps,
+    around: EnvironmentOptions,
+    spectrum: SpectrumOptions,
     display: DisplayOptions,
-    shape: ShapeOptions,
-    asked: SceneOptions,
-    *,
-    is_plain: bool,
+    gbuffer: Path | None,
+    exr: GBufferOptions,
+    camera: Triple | None,
+    sequence: SequenceOptions,
 ) -> None:
-    if not is_plain:
-        raise InputError(
-            f"{path}: a scene has its own lights, camera and surfaces; beside it come "
-            "`output`, `size`, `samples`, `frames`, `resume` and the options of the picture"
-        )
-    from raden_torch.scene.animation import render_frames
-    from raden_torch.scene.scene import Scene
+    from raden_torch.cli.sequence_run import run_frames
+    from raden_torch.sequences.plan import target_pattern
+    from raden_torch.sequences.render_job import RenderJob, plan_render
 
-    scene = Scene.read(path, width=shape.size, samples=shape.samples)
-    shown_by = display.over(scene.display)
-    if asked.frames is not None:
-        with progress("rendering") as shown:
-            count = render_frames(
-                scene, asked.frames, output, shown_by, resume=asked.resume, shown=shown
-            )
-        print(f"wrote {output} ({count} of {len(asked.frames)} frames rendered)")
-        return
-    if asked.resume:
-        raise InputError("`resume` goes with `frames`")
-    shown_by.check_path(output)
-    check_output(output, inputs=(path, *scene.files))
-    with working("rendering"):
-        stops = shown_by.write(scene.frame(), output, scene.caption)
-    print(f"wrote {output} (exposure {stops:+.2f} stops)")
-
-
-def _lights(lamps: Sequence[LampOption]) -> list[Light]:
-    return [lamp.light for lamp in lamps]
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class RelightOptions:
-    """What is relit, and under which lamps."""
-
-    normals: Path
-    """normal map: PNG (8 or 16 bits), TIFF; EXR, also with depth"""
-    model: ModelFile
-    mask: Path | None = None
-    """mask of what to relight, with a soft edge; by default wherever there are normals"""
-    light: Lamps = ()
-    """x,y,z towards a lamp at infinity; may be repeated"""
-    strip: int | None = None
-    """instead of --light: this many lamps in a ring, side by side"""
-    sheet: int | None = None
-    """instead of --light: this many lamps in a ring, as a contact sheet"""
-    elevation_deg: float = 40.0
-    """elevation of the ring of lamps above the image plane, degrees"""
-    original_light: LampOrFile | None = None
-    """keep the photograph's texture: the lamp it was taken under, as x,y,z, or the normals.json of
-    `raden capture normals`"""
-    linear: bool = False
-    """read whole numbers in the photographs as linear light"""
-    green: Literal["opengl", "directx"] = "opengl"
-    """which way green points in the normal map"""
-
-    def __post_init__(self) -> None:
-        if sum((self.strip is not None, self.sheet is not None, bool(self.light))) > 1:
-            raise InputError(
-                "--strip and --sheet bring their own lamps; give one of them or --light"
-            )
-
-    def lamps(self) -> Sequence[Light]:
-        """The lamps of one picture, or of the ring."""
-        from raden_torch.brdf.shading.relight import lamp_ring
-
-        count = self.strip if self.strip is not None else self.sheet
-        if count is None:
-            return _lights(self.light or [LampOption((1.0, 1.0, 2.0))])
-        return lamp_ring(count, self.elevation_deg)
-
-
-def relight(
-    *photos: Annotated[Path, files("one or more photographs of one size")],
-    output: Annotated[Path, output("the image to write; a folder for several")],
-    how: RelightOptions,
-    around: EnvironmentOptions = EnvironmentOptions(),
-    display: RelitDisplayOptions = RelitDisplayOptions(),
-    exr: ExrOptions = ExrOptions(),
-) -> None:
-    from raden_torch.relighting import relight_files
-
-    surrounded = around.environment is not None or around.light_setup is not None
-    if surrounded and (how.strip or how.sheet):
-        raise InputError(
-            "--strip and --sheet show one lamp each; leave out --environment and --light-setup"
-        )
-    used = without_other_inputs(
-        photos, how.normals, how.mask, how.model, around.environment, exr.material
+    if gbuffer is None or sequence.frames is None:
+        raise InputError(f"{model}: `frames`: expected with --gbuffer or a scene file, got neither")
+    job = RenderJob(
+        target=target_pattern(output, gbuffer.name),
+        force=sequence.force,
+        model=model,
+        gbuffer=gbuffer,
+        reading=exr.reading if camera is None else replace(exr.reading, camera=camera),
+        lighting=replace(around.lighting, lamps=tuple(lights_of(light))),
+        display=display.display,
+        tolerance=exr.tolerance,
+        shadowed=exr.shadowed,
+        illuminant=spectrum.illuminant,
+        white=spectrum.white,
     )
-    surroundings = around.lights()
-    lights = [*(_lights(how.light) if surroundings else how.lamps()), *surroundings]
-    with working("relighting"):
-        written = relight_files(
-            used,
-            how.normals,
-            how.mask,
-            how.model,
-            output,
-            lights,
-            layout="strip" if how.strip else "sheet" if how.sheet else "picture",
-            original=how.original_light,
-            coded="linear" if how.linear else "srgb",
-            green=how.green,
-            reading=exr.reading,
-            display=display.display,
-        )
-    for path in written:
-        print(f"wrote {path}")
+    with working("looking at the frames"):
+        job, frames = plan_render(job, sequence.frames, skip_missing=sequence.skip_missing)
+    run_frames(job, frames, sequence, exr.memory)
 
 
 def demo(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from raden_torch.cli.option_types import Bytes, Exposed, Frames, Pairs, Triple
+from raden_torch.cli.option_types import Bytes, Exposed, Pairs, Triple
 from raden_torch.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from raden_torch.brdf.files.gbuffer_reading import GBufferReading
     from raden_torch.brdf.files.shade_file import Shadowed
     from raden_torch.brdf.shading.lights import Light
+    from raden_torch.sequences.lighting import Lighting
 
 _PICTURE = Group("The picture", sort_key=2)
 _EXR_FILES = Group("EXR files", sort_key=3)
-_SCENES = Group("Scenes", sort_key=4)
 
 
 @Parameter(name="*", group=_PICTURE)
@@ -120,7 +120,8 @@ class GBufferOptions(ExrOptions):
     tolerance: float = 0.0
     """for an EXR: the largest error of a pixel's radiance that is accepted to save time"""
     memory: Bytes = 4 * 1024**3
-    """for an EXR lit into an .exr: shade it in bands within this much memory"""
+    """for an EXR lit into an .exr: shade it in bands within this much memory; for --frames: that of
+    all frames under way"""
     shadows: bool = False
     """what the EXR shows casts shadows of the lamps; needs positions and their --camera, or depth
     and --fov"""
@@ -187,17 +188,6 @@ class SpectrumOptions:
         return tuple(path for path in given if path.suffix)
 
 
-@Parameter(name="*", group=_SCENES)
-@dataclass(frozen=True)
-class SceneOptions:
-    """For a scene file alone."""
-
-    frames: Frames = None
-    """frames to render, as 1-48: into a folder of PNGs, or an .mp4, .webm or .webp"""
-    resume: bool = False
-    """keep the frames that are in the folder, and render the rest"""
-
-
 @Parameter(name="*")
 @dataclass(frozen=True)
 class EnvironmentOptions:
@@ -217,23 +207,18 @@ class EnvironmentOptions:
         if self.environment is not None and self.light_setup is not None:
             raise InputError("--environment and --light-setup both surround the scene; give one")
 
+    @property
+    def lighting(self) -> Lighting:
+        """The same for the library, without lamps."""
+        from raden_torch.sequences.lighting import Lighting
+
+        return Lighting(
+            environment=self.environment,
+            light_setup=self.light_setup,
+            rotation_deg=self.rotate_environment,
+            intensity=self.environment_intensity,
+        )
+
     def lights(self) -> list[Light]:
         """None, or one."""
-        if self.light_setup is not None:
-            from raden_torch.brdf.shading.light_setups import light_setup
-
-            turned, intensity = self.rotate_environment, self.environment_intensity
-            return [
-                replace(light_setup(self.light_setup), rotation_deg=turned, intensity=intensity)
-            ]
-        if self.environment is None:
-            return []
-        from raden_torch.brdf.files.environment_file import load_environment
-
-        return [
-            load_environment(
-                self.environment,
-                rotation_deg=self.rotate_environment,
-                intensity=self.environment_intensity,
-            )
-        ]
+        return self.lighting.surroundings()

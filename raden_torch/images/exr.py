@@ -24,6 +24,8 @@ WRITTEN_LINES = 16
 """Scan lines that ZIP compresses together."""
 _LONGEST_NAME = 255
 _STRIP = 1 << 22
+_ROOM = 1 << 24
+"""Bytes: more than OpenImageIO holds back when a write fails."""
 
 Parts = dict[str, dict[str, NDArray[np.float32]]]
 
@@ -187,14 +189,22 @@ class _Output:
 
 @contextmanager
 def _written(temporary: Path, meant: object) -> Iterator[_Output]:
-    with readable_name(temporary) as name:
-        output = _Output(name, meant)
-        yield output
-        output.close()
     try:
+        with readable_name(temporary) as name:
+            output = _Output(name, meant)
+            yield output
+            output.close()
         ExrFile(temporary).check_whole()  # OpenImageIO writes its last bytes without a check
-    except InputError:
-        raise InputError(f"{meant}: could not be written whole: is the disk full?") from None
+    except InputError as error:
+        _check_room(temporary)
+        raise InputError(str(error).replace(str(temporary), str(meant))) from None
+
+
+def _check_room(temporary: Path) -> None:
+    """Raise the OSError that OpenImageIO does not tell, where the file cannot grow."""
+    with open(temporary, "ab", buffering=0) as file:
+        for _ in range(_ROOM >> 16):
+            file.write(bytes(1 << 16))
 
 
 def _spec(

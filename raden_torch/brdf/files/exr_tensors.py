@@ -72,8 +72,8 @@ def write_std(std: RadianceStd, path: str | os.PathLike[str]) -> None:
 
 def in_halves(image: Tensor) -> dict[str, NDArray[np.float16]]:
     """`[1, 3, H, W]` → the channels R, G, B as half floats, cut off at ±65504."""
-    rgb = image[0].detach().float().clamp(-LARGEST_HALF, LARGEST_HALF).cpu().numpy()
-    return dict(zip("RGB", rgb.astype(np.float16), strict=True))
+    rgb = image[0].detach().float().clamp(-LARGEST_HALF, LARGEST_HALF).half()
+    return dict(zip("RGB", rgb.cpu().numpy(), strict=True))
 
 
 def stacked(file: ExrFile, keys: Sequence[Key], top: int, bottom: int) -> Tensor:

@@ -89,12 +89,14 @@ class GBufferFile:
 
     Attributes:
         size: height and width in pixels.
+        channels: all of the file's, by name.
         bands: (first row, row after the last) of each part that fits the memory.
 
     Args:
         memory: bytes that a band may take with all that shading it and writing it needs; where
             None, the whole file is one band.
         palette, turns: as for `read_gbuffer`.
+        is_checked: whether what seems to be declared wrongly is warned of.
     """
 
     def __init__(
@@ -105,11 +107,13 @@ class GBufferFile:
         memory: int | None = None,
         palette: Palette | None = None,
         turns: bool = False,
+        is_checked: bool = True,
     ) -> None:
-        self.path, self._reading = path, reading
+        self.path, self._reading, self._is_checked = path, reading, is_checked
         self._kind, self._axes = depth_kind(reading.depth or "planar"), reading.axes
         self._file = ExrFile(path)
         self.size = self._file.size
+        self.channels = tuple(key for key, _, _ in self._file.keys)
         self._material = self._materials(palette)
         gathered = 0 if self._material is None else max(1, len(self._material.keys))
         self.bands = bands_of(self._file, memory, BYTES_GATHERED * gathered)
@@ -253,7 +257,7 @@ class GBufferFile:
         else:
             view = self._view(through, top, bottom)
             gbuffer = GBuffer(normal, view=view, position=position, mask=mask)
-        if top <= self.size[0] // 2 < bottom:
+        if self._is_checked and top <= self.size[0] // 2 < bottom:
             if frame.is_world:
                 warn_of_facing(self.path, gbuffer)
             elif said.camera is None and said.view is None and said.space == "camera":
@@ -296,6 +300,8 @@ class GBufferFile:
                 f"{self.path}: depth: expected a valid pixel, got none above 0; if it is the z of "
                 'a camera that looks along −z, give `depth="negative"`'
             )
+        if not self._is_checked:
+            return
         if self._reading.smooth_px <= 0:
             warn_of_steps(self.path, depth[there], cast(Tensor, self._matrix))
         if self._reading.depth is None:

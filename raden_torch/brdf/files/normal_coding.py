@@ -14,6 +14,7 @@ from torch import Tensor
 UNIT_SHARE = 0.8
 """A bare RGB image holds normals where this share of its pixels that are not black has length 1."""
 UNIT_TOLERANCE = 0.02
+_STRIP_ROWS = 64
 _LEAST_LENGTH = 0.1
 """Of a decoded normal; what is shorter was grey, which stands for none."""
 
@@ -78,7 +79,8 @@ class Evidence:
 
 def has_negative(vectors: Tensor) -> bool:
     """Whether `[B, 3, H, W]` as stored cannot be coded: cheaper than `Evidence.of`."""
-    return bool(((vectors < -UNIT_TOLERANCE) & _there(vectors)).any())
+    strips = vectors.split(_STRIP_ROWS, dim=-2)  # most often the first one has some
+    return any(bool(((v < -UNIT_TOLERANCE) & _there(v)).any()) for v in strips)
 
 
 def decoded(normal: Tensor, is_coded: bool) -> Tensor:
@@ -86,6 +88,8 @@ def decoded(normal: Tensor, is_coded: bool) -> Tensor:
 
     Where they are coded, black pixels and grey ones (0.5, 0.5, 0.5) have no normal.
     """
+    if not is_coded and bool(torch.isfinite(normal.sum())):
+        return normal  # all are finite, and zero vectors are none
     there = _there(normal)
     if is_coded:
         normal = 2 * normal - 1

@@ -87,19 +87,35 @@ def relit_under(
 
     Args: as for `relight`; one gain for all: the mean over the settings keeps the mean luminance.
     """
-    _check_sizes(photo, normal, mask)
     mask = coverage(mask).to(photo.dtype)
-    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0), material=material, tangent=tangent)
-    shaded = torch.stack([shade(model, gbuffer, lights) for lights in settings]).to(photo.dtype)
-    warn_if_black(shaded, [lamp for s in settings for lamp in ([s] if isinstance(s, Light) else s)])
-    if original is not None:
-        shaded = shaded * texture_of(photo, normal, mask, original)
+    shaded = shaded_under(
+        model, photo, normal, mask, settings, original=original, material=material, tangent=tangent
+    )
     if gain is None:
         gain = matching_gain(photo, shaded.mean(dim=0), mask)
     elif callable(gain):
         gain = gain(shaded.mean(dim=0), mask)
     lit = gain * shaded
     return photo + mask * ((lit if curve is None else curve(lit)) - photo)
+
+
+def shaded_under(
+    model: Reflection,
+    photo: Tensor,
+    normal: Tensor,
+    mask: Tensor,
+    settings: Sequence[Sequence[Light] | Light],
+    *,
+    original: Sequence[Light] | None = None,
+    material: Tensor | None = None,
+    tangent: Tensor | None = None,
+) -> Tensor:
+    """`[settings, B, 3, H, W]`: what `relit_under` multiplies by its gain and puts in."""
+    _check_sizes(photo, normal, mask)
+    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0), material=material, tangent=tangent)
+    shaded = torch.stack([shade(model, gbuffer, lights) for lights in settings]).to(photo.dtype)
+    warn_if_black(shaded, [lamp for s in settings for lamp in ([s] if isinstance(s, Light) else s)])
+    return shaded if original is None else shaded * texture_of(photo, normal, mask, original)
 
 
 def texture_of(photo: Tensor, normal: Tensor, mask: Tensor, lights: Sequence[Light]) -> Tensor:

@@ -22,7 +22,7 @@ from raden_torch.capture.photo.camera import read_camera, read_poses
 from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.lamps import read_lamps
 from raden_torch.errors import InputError
-from raden_torch.relighting import _original_lamp
+from raden_torch.relighting import original_lamp
 
 ODD = (None, True, 0, -1, 10**400, math.inf, math.nan, 1e308, "", "\0", [], {}, [[]], "x" * 500)
 HEAD = {"format": "raden capture", "version": 1, "made_from": ["a.png"]}
@@ -46,7 +46,7 @@ READERS: dict[str, tuple[dict[str, Any], Callable[[Path], object]]] = {
     "lights": ({"lamps": [LAMP, LAMP], "unit": "mm", "response_exponent": 1.0}, read_lamps),
     "camera": (CAMERA, lambda path: (read_camera(path), read_poses(path))),
     "colour": ({"method": "least squares", "matrix": np.eye(3).tolist()}, read_colour),
-    "normals": ({"lamps": [LAMP]}, lambda path: _original_lamp(path, Path("a.png"))),
+    "normals": ({"lamps": [LAMP]}, lambda path: original_lamp(path, Path("a.png"))),
 }
 
 
