@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -207,6 +208,19 @@ def _put_in_place(temporary: Path, real: Path) -> bool:
 
 def _beside(real: Path, suffix: str) -> Path:
     return real.with_name(f".{real.stem[:40]}.{token_hex(4)}{suffix}")
+
+
+def remove_leftovers(path: str | os.PathLike[str]) -> None:
+    """Remove what was begun beside ``path`` by a process that was killed; nobody may be writing
+    ``path`` now."""
+    real = _behind_links(Path(path))
+    stem = re.escape(real.stem[:39])
+    cut = ".?" if len(real.stem) > 39 else ""
+    # one token, or two where a writer was given a temporary name and wrote beside that
+    name = re.compile(rf"\.{{1,2}}{stem}{cut}(\.[0-9a-f]{{0,8}}){{1,2}}{re.escape(real.suffix)}")
+    for found in real.parent.iterdir():
+        if name.fullmatch(found.name):
+            found.unlink(missing_ok=True)
 
 
 def _behind_links(path: Path) -> Path:

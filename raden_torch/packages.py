@@ -26,6 +26,7 @@ EXTRAS = {
     "simulate": {"mitsuba": "mitsuba", **_PHOTO},
     "xls": {"xlrd": "xlrd"},
     "catalogue": {"pyarrow": "pyarrow", **_IMAGES, **_SPECTRAL},
+    "cluster": {"distributed": "distributed"},
 }
 """For each extra the modules that are imported, with the names that pip installs them by."""
 

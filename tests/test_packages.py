@@ -60,6 +60,10 @@ ASKS = {  # a command: what needs the extra, and the extra
     "info {folder}/a.onnx": ("ONNX files", "export"),
     "capture simulate -o {folder}/photographs": ("simulated photographs", "simulate"),
     "catalogue find {folder} --colour green": ("catalogues", "catalogue"),
+    "fit {folder}/shell.csv -o {folder}/models --engine dask --scheduler tcp://127.0.0.1:9": (
+        "clusters",
+        "cluster",
+    ),
     "info {folder}/a.xls": ("workbooks of the RT-300S", "xls"),
     "demo --out {folder}/demo": ("the demo's pictures", "images,plots,export"),
 }

@@ -96,8 +96,8 @@ catalogue = App(
 _COMMANDS = (
     (
         "model_commands:fit",
-        "Fit a model to a measurement, or a palette to several of one shell, and report how well.",
-        "raden fit shell.csv -o shell.safetensors",
+        "Fit a model to a measurement, a palette to several of one shell, or a folder of models.",
+        "raden fit shell.csv -o shell.safetensors; raden fit shells/*.csv -o models/",
     ),
     (
         "file_commands:info",
@@ -150,6 +150,11 @@ _COMMANDS = (
         "Relight the masked part of photographs, or of a sequence; the rest of them is kept.",
         "raden relight box.png --normals n.png --mask m.png --model shell.safetensors "
         "--light 1,1,2 -o relit.png",
+    ),
+    (
+        "sweep_command:sweep",
+        "Run a command once for each row of a table of its options, into a folder.",
+        "raden sweep lights.csv -o lit -- render shell.safetensors --size 256",
     ),
     (
         "picture_commands:demo",

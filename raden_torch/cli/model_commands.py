@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Literal, cast
 
 from cyclopts import Parameter
 
+from raden_torch.cli.engine_options import ON_THIS_MACHINE, EngineOptions
 from raden_torch.cli.json_output import AsJson, print_json
 from raden_torch.cli.option_types import Names, Triple, files, output, switch
 from raden_torch.cli.status import working
@@ -17,8 +18,8 @@ from raden_torch.files import check_output, check_outputs
 
 if TYPE_CHECKING:
     from raden_torch.brdf.fitting.by_azimuth import AzimuthFit
-    from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
     from raden_torch.brdf.fitting.fit import FitResult
+    from raden_torch.brdf.fitting.settings import FitSettings
     from raden_torch.brdf.fitting.spectral_fit import SpectralFit
     from raden_torch.brdf.model.model import RadenBrdf
     from raden_torch.measurement import BrdfMeasurement
@@ -76,13 +77,31 @@ class FitOptions:
             )
 
     @property
-    def diffuse_part(self) -> DiffuseParameters | Literal["floor", "surface"]:
-        """The diffuse part set by hand, or what it is fitted to."""
+    def settings(self) -> FitSettings:
+        """The same for the library, in which the diffuse part may be set by hand."""
         from raden_torch.brdf.fitting.diffuse_fit import DiffuseParameters
+        from raden_torch.brdf.fitting.settings import FitSettings
 
-        if self.diffuse_scale is None or self.diffuse_exponent is None:
-            return self.diffuse
-        return DiffuseParameters(self.diffuse_scale, self.diffuse_exponent)
+        by_hand = self.diffuse_scale, self.diffuse_exponent
+        return FitSettings(
+            self.diffuse if None in by_hand else DiffuseParameters(*by_hand),  # type: ignore[arg-type]
+            self.interpolation,
+            self.assume,
+            self.by_azimuth,
+            self.spectral,
+            self.outside,
+            self.std,
+        )
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ManyFitsOptions:
+    """For a folder of models alone."""
+
+    force: bool = False
+    """replace models that are in the folder; they are kept unless stated"""
+    where: EngineOptions = ON_THIS_MACHINE
 
 
 def fit(
@@ -90,13 +109,24 @@ def fit(
         Path,
         files("a measurement file; its format is detected. Several points of a shell: a palette"),
     ],
-    output: Annotated[Path, output("the model file to write")],
+    output: Annotated[
+        Path, output("the model file to write; or a folder, for a model of each measurement")
+    ],
     names: Annotated[
         Names, Parameter(help="names of a palette's members; by default those of the files")
     ] = (),
     how: FitOptions = FitOptions(),
     as_json: AsJson = False,
+    many: ManyFitsOptions = ManyFitsOptions(),
 ) -> None:
+    if output.is_dir() or not output.suffix:
+        _fit_each(measurements, output, names, how, many, as_json=as_json)
+        return
+    if many != ManyFitsOptions():
+        raise InputError(
+            f"{output}: expected a folder for models, one a measurement, with --engine or --force; "
+            "got a file"
+        )
     from raden_torch.capture.exchange import load_measurement
 
     check_output(output, (".safetensors",), inputs=(*measurements, how.validation))
@@ -130,6 +160,32 @@ def fit(
     print(f"a palette of {len(members)}: {', '.join(members)}\nwrote {output}")
 
 
+def _fit_each(
+    measurements: Sequence[Path],
+    folder: Path,
+    names: tuple[str, ...],
+    how: FitOptions,
+    many: ManyFitsOptions,
+    *,
+    as_json: bool,
+) -> None:
+    """A model of each measurement, on this machine or on a cluster."""
+    from raden_torch.cli.sequence_run import run_items
+    from raden_torch.sequences.fit_job import FitJob
+    from raden_torch.sequences.local import LocalEngine
+    from raden_torch.sequences.report import Report
+
+    if names:
+        raise InputError(f"--names: expected a palette in one file, got the folder {folder}")
+    job = FitJob(folder, how.settings, how.validation, many.force)
+    job.check(measurements)
+    engine = many.where.among(LocalEngine(readers=1, writers=1))
+    report = Report(measurements, named=lambda failed: ", ".join(path.name for path in failed))
+    run_items(
+        job, measurements, engine, folder, report, as_json=as_json, noun="measurement", called=str
+    )
+
+
 def _member_names(
     measurements: Sequence[Path], names: tuple[str, ...], how: FitOptions
 ) -> tuple[str, ...]:
@@ -161,26 +217,8 @@ def _fitted(
     *,
     is_one: bool,
 ) -> FitResult | AzimuthFit | SpectralFit:
-    from raden_torch.brdf.fitting.by_azimuth import fit_by_azimuth
-    from raden_torch.brdf.fitting.fit import fit as fit_model
-
-    if how.spectral:
-        from raden_torch.brdf.fitting.spectral_fit import fit_spectral
-
-        return fit_spectral(
-            measurement, interpolation=how.interpolation, validation=off_grid, assume=how.assume
-        )
-    asked: dict[str, Any] = {
-        "diffuse": how.diffuse_part,
-        "interpolation": how.interpolation,
-        "validation": off_grid,
-        "assume": how.assume,
-        "outside": how.outside,
-    }
     try:
-        if how.by_azimuth:
-            return fit_by_azimuth(measurement, **asked)
-        return fit_model(measurement, **asked, std=how.std)
+        return how.settings.fitted(measurement, off_grid)
     except InputError as error:  # of which of several?
         raise error if is_one else InputError(f"{path}: {error}") from None
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from cyclopts import Group, Parameter
 
+from raden_torch.cli.engine_options import ON_THIS_MACHINE, EngineOptions
 from raden_torch.cli.option_types import Frames
 from raden_torch.errors import InputError
 
@@ -26,8 +27,11 @@ class SequenceOptions:
     """leave out frames whose files are missing, rather than refuse them all"""
     json: bool = False
     """a line of JSON on stdout for each frame, for a farm"""
+    where: EngineOptions = ON_THIS_MACHINE
 
     def __post_init__(self) -> None:
         for name in ("force", "skip_missing", "json"):
             if getattr(self, name) and self.frames is None:
                 raise InputError(f"--{name.replace('_', '-')}: expected with --frames, got none")
+        if self.where.engine != "local" and self.frames is None:
+            raise InputError("--engine: expected with --frames, got none")

@@ -11,6 +11,7 @@ import errno
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, Literal, Protocol, Self, TypeVar
@@ -147,14 +148,24 @@ class Timed:
         return Outcome(self.item, "failed", message_of(error), dict(self.seconds), is_full)
 
 
-def done_alone(job: Job[Item, Prepared, Any, Any], prepared: Prepared, item: Item) -> Outcome[Item]:
-    """One item through all stages, one after the other; raises nothing but interrupts."""
+def done_alone(
+    job: Job[Item, Prepared, Any, Any],
+    prepared: Prepared,
+    item: Item,
+    working: AbstractContextManager[object] | None = None,
+) -> Outcome[Item]:
+    """One item through all stages, one after the other; raises nothing but interrupts.
+
+    Args:
+        working: held in the second stage: a lock, where several threads do items of a job.
+    """
     timed = Timed(item)
     try:
         if job.is_done(item):
             return timed.outcome("kept")
         read = timed.stage_of("read", job.read, prepared, item)
-        worked = timed.stage_of("work", job.work, prepared, read)
+        with working or nullcontext():
+            worked = timed.stage_of("work", job.work, prepared, read)
         is_ours = timed.stage_of("write", job.write, prepared, worked, item)
     except Exception as error:
         return timed.failed(error)

@@ -19,6 +19,7 @@ from raden_torch.brdf.files.shade_file import Shadowed
 from raden_torch.brdf.materials.anisotropic import takes_tangent
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.brdf.shading.shade import shade, warn_if_black
@@ -63,6 +64,7 @@ class RenderJob(PictureJob[Lit, GBuffer, Tensor]):
         lighting: as for `shade`, in the renderer's world.
         display, tolerance, shadowed: as for `render_gbuffer_file`.
         illuminant, white: of a spectral model, as for `load_material`.
+        device: where frames are shaded, as "cuda".
     """
 
     model: Path
@@ -76,6 +78,7 @@ class RenderJob(PictureJob[Lit, GBuffer, Tensor]):
     shadowed: Shadowed | None = None
     illuminant: str | None = None
     white: str | None = None
+    device: str = "cpu"
 
     @property
     def patterns(self) -> tuple[Path, ...]:
@@ -104,7 +107,14 @@ class RenderJob(PictureJob[Lit, GBuffer, Tensor]):
     def prepare(self) -> Lit:
         import_codecs()
         model = load_material(self.model, self.illuminant, self.white)
-        lights = self.lighting.lights() or SHAPES["sphere"].lights
+        if isinstance(model, torch.nn.Module):
+            model.to(self.device)
+        lights = [
+            replace(light, radiance=light.radiance.to(self.device))
+            if isinstance(light, EnvironmentLight)
+            else light
+            for light in self.lighting.lights() or SHAPES["sphere"].lights
+        ]
         return Lit(model, [self.reading.light(light) for light in lights])
 
     def read(self, prepared: Lit, item: int) -> GBuffer:
@@ -125,11 +135,11 @@ class RenderJob(PictureJob[Lit, GBuffer, Tensor]):
         return gbuffer
 
     def work(self, prepared: Lit, read: GBuffer) -> Tensor:
-        lights = prepared.lights
+        lights, gbuffer = prepared.lights, read.to(self.device)
         with torch.no_grad():
             if self.shadowed is not None:
-                lights = self.shadowed(read, lights)
-            return shade(prepared.model, read, lights, tolerance=self.tolerance)
+                lights = self.shadowed(gbuffer, lights)
+            return shade(prepared.model, gbuffer, lights, tolerance=self.tolerance).cpu()
 
     def write(self, prepared: Lit, worked: Tensor, item: int) -> bool:
         if item == self.first:

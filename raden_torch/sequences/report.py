@@ -7,7 +7,7 @@ import re
 import time
 import warnings
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,16 +25,23 @@ class Report:
     Args:
         items: what there is to do.
         asked: how many were asked for, with those that are left out because files are missing.
+        named: items in words; frames as a range unless stated.
     """
 
-    def __init__(self, items: Sequence[int], asked: int | None = None) -> None:
+    def __init__(
+        self,
+        items: Sequence[Any],
+        asked: int | None = None,
+        named: Callable[[Sequence[Any]], str] = frame_range,
+    ) -> None:
+        self._named = named
         self._items, self._start = list(items), time.perf_counter()
         self._missing = (len(items) if asked is None else asked) - len(items)
         self._counts: Counter[str] = Counter()
-        self._failed: list[int] = []
+        self._failed: list[Any] = []
         self.is_full = False
 
-    def add(self, outcome: Outcome[int]) -> None:
+    def add(self, outcome: Outcome[Any]) -> None:
         """Count one."""
         self._counts[outcome.state] += 1
         if outcome.state == "failed":
@@ -66,7 +73,7 @@ class Report:
         said += [f"{counts['kept']} kept"] * bool(counts["kept"])
         said += [f"{self._missing} without files"] * bool(self._missing)
         if self._failed:
-            said.append(f"{len(self._failed)} failed ({frame_range(self._failed)})")
+            said.append(f"{len(self._failed)} failed ({self._named(self._failed)})")
         said += [f"{self.left} not reached"] * bool(self.left)
         return f"{target}: {', '.join(said)}, in {self.seconds:.1f} s"
 
@@ -75,17 +82,17 @@ class Report:
         return _line(
             "start",
             target=str(target),
-            frames=frame_range(self._items) if self._items else "",
+            frames=self._named(self._items) if self._items else "",
             total=len(self._items),
             missing=self._missing,
             **more,
         )
 
-    def frame_line(self, outcome: Outcome[int], file: Path) -> str:
+    def frame_line(self, outcome: Outcome[Any], file: Path) -> str:
         """JSON, after `add`."""
         return _line(
             "frame",
-            frame=outcome.item,
+            frame=outcome.item if isinstance(outcome.item, int) else str(outcome.item),
             file=str(file),
             state=outcome.state,
             message=outcome.message,
@@ -104,7 +111,7 @@ class Report:
             "end",
             written=self._counts["written"],
             kept=self._counts["kept"],
-            failed=frame_range(self._failed) if self._failed else "",
+            failed=self._named(self._failed) if self._failed else "",
             left=self.left,
             missing=self._missing,
             stopped_by=stopped_by or ("full disk" if self.is_full else None),

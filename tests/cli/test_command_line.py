@@ -6,7 +6,7 @@ import ast
 import dataclasses
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -45,10 +45,19 @@ def parsed(*words: str) -> dict[str, Any]:
     return dict(app.parse_args(words)[1].arguments)
 
 
+def fields_of(group: Any) -> Iterator[str]:
+    """Their names; those of a group in a group are its own."""
+    for field in dataclasses.fields(group):
+        if dataclasses.is_dataclass(field.default):
+            yield from fields_of(field.default)
+        else:
+            yield field.name
+
+
 def test_all_commands_are_here() -> None:
     one = [words[0] for words in COMMANDS if len(words) == 1]
     assert " ".join(one) == (
-        "fit info analyse merge convert plot export verify bench render relight demo scan"
+        "fit info analyse merge convert plot export verify bench render relight sweep demo scan"
     )
     steps = [" ".join(words) for words in COMMANDS if len(words) == 2]
     capture = ["calibrate", "colour", "lights", "normals", "brdf", "segment", "batch", "simulate"]
@@ -71,8 +80,8 @@ def test_help_lists_every_field_and_an_example(
     groups = [hint for hint in hints.values() if dataclasses.is_dataclass(hint)]
     options = options_of(app, words)
     for group in groups:
-        for field in dataclasses.fields(group):
-            assert f"{options[field.name]} " in shown
+        for name in fields_of(group):
+            assert f"{options[name]} " in shown
     with app.app_stack(words):
         arguments = command.assemble_argument_collection(parse_docstring=True)
     said = [argument for argument in arguments if argument.show and not argument.children]
