@@ -85,7 +85,7 @@ def save_model(model: Reflection | SpectralBrdf, path: str | os.PathLike[str]) -
         name: value.detach().cpu().clone(memory_format=torch.contiguous_format)
         for name, value in tensors.items()
     }
-    data = save(stored, {"format": FORMAT, "about": json.dumps(about)})
+    data = _in_order(save(stored, {"format": FORMAT, "about": json.dumps(about)}))
     with written_beside(target) as temporary:
         temporary.write_bytes(data)
 
@@ -135,6 +135,17 @@ def describe(model: RadenBrdf) -> dict[str, Any]:
     if model.errors is not None:
         about["scale_std"] = model.errors.scale_std
     return about
+
+
+def _in_order(data: bytes) -> bytes:
+    """The same file with its metadata in alphabetical order, which safetensors leaves to chance: a
+    model is the same bytes each time it is written."""
+    size = int.from_bytes(data[:8], "little")
+    header = json.loads(data[8 : 8 + size])
+    header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+    text = json.dumps(header, ensure_ascii=False, separators=(",", ":")).encode()
+    text = text.ljust(-(-len(text) // 8) * 8)  # tensors begin at a multiple of 8
+    return len(text).to_bytes(8, "little") + text + data[8 + size :]
 
 
 def load_model(path: str | os.PathLike[str]) -> Any:
