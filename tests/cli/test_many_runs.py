@@ -23,8 +23,8 @@ def folder(tmp_path: Path, analytic) -> Path:
 
 
 def test_a_model_is_the_same_bytes_each_time_it_is_written(folder: Path) -> None:
-    """Rationale: safetensors leaves the order of its metadata to chance, and the models of a cluster
-    are to be those of one machine."""
+    """Rationale: safetensors leaves the order of its metadata to chance, and the models of a
+    cluster are to be those of one machine."""
     model = rt.load_model(folder / "matt.safetensors")
     paths = [folder / f"{number}.safetensors" for number in range(8)]
     for path in paths:
