@@ -27,7 +27,7 @@ class EngineOptions:
     engine: Literal["local", "dask"] = "local"
     """dask: the workers of a Dask cluster, which see the same folders"""
     scheduler: str | None = None
-    """the cluster's scheduler, as tcp://host:8786"""
+    """the cluster's scheduler, as `tcp://host:8786`"""
     wait: float = _WAIT_S
     """seconds to wait for workers, and for a scheduler that went away"""
     mixed_workers: bool = False

@@ -111,6 +111,22 @@ def render(
             model, output, light, around, spectrum, display, gbuffer, exr, shape.camera, sequence
         )
         return
+    _render_picture(model, output, light, around, spectrum, display, shape, gbuffer, exr, std)
+
+
+def _render_picture(
+    model: Path,
+    output: Path,
+    light: Lamps,
+    around: EnvironmentOptions,
+    spectrum: SpectrumOptions,
+    display: DisplayOptions,
+    shape: ShapeOptions,
+    gbuffer: Path | None,
+    exr: GBufferOptions,
+    std: Path | None,
+) -> None:
+    """One picture, and what its standard deviations are, where they are asked for."""
     from raden_torch.pictures import load_material, save_picture
     from raden_torch.sequences.plan import check_no_pattern
 
