@@ -11,19 +11,33 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from raden_torch.errors import InputError
 from raden_torch.export.profiles import GraphInput
 from raden_torch.export.shaders import Shader
 
 if TYPE_CHECKING:
     import onnx
 
+OLDEST_TORCH = (2, 11)
+"""Whose exporter takes gathers of int32: 2.10 refuses them, 2.5 and earlier every dynamic size."""
 PUBLIC = "public:"
 """Before the names of inputs and outputs: the exporter calls values inside `view`, too."""
 
 
 def trace(shader: Shader, ports: list[GraphInput], output: str, opset: int) -> onnx.ModelProto:
-    """The shader as a graph with one input a port; what the exporter adds is still in it."""
+    """The shader as a graph with one input a port; what the exporter adds is still in it.
+
+    Raises:
+        InputError: PyTorch is older than what the extra `export` asks for.
+    """
     from onnxscript import opset18
+
+    if _version(torch.__version__) < OLDEST_TORCH:
+        oldest = ".".join(map(str, OLDEST_TORCH))
+        raise InputError(
+            f"exported shaders: expected PyTorch {oldest} or later, got {torch.__version__}; "
+            "pip install 'raden_torch[export]' brings it"
+        )
 
     def gather_rows(rows: Any, indices: Any) -> Any:
         """`rows[indices]` with the int32 indices as they are; the exporter's own takes int64."""
@@ -53,6 +67,12 @@ def trace(shader: Shader, ports: list[GraphInput], output: str, opset: int) -> o
     graph = program.model_proto
     _join(graph.graph, {"Add": "Sum", "Max": "Max"})
     return graph
+
+
+def _version(text: str) -> tuple[int, int]:
+    """Major and minor of a version such as 2.13.0+cpu."""
+    major, minor, *_ = text.split(".")
+    return int(major), int(minor)
 
 
 def _join(graph: onnx.GraphProto, names: dict[str, str]) -> None:

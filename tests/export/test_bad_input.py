@@ -97,6 +97,14 @@ def test_a_package_is_missing(
     refused(tmp_path, call, f"need {package}", "pip install 'raden_torch[export]'")
 
 
+def test_an_older_torch(
+    matt: rt.RadenBrdf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch, "__version__", "2.10.1+cpu")
+    call = lambda: export_onnx(matt, tmp_path / "x.onnx")  # noqa: E731
+    refused(tmp_path, call, "expected PyTorch 2.11 or later, got 2.10.1+cpu")
+
+
 def test_a_disk_that_fills(
     exported: Callable, matt: rt.RadenBrdf, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
