@@ -66,7 +66,7 @@ def run_items(
                 if as_json:
                     print(report.frame_line(outcome, job.output(outcome.item)), flush=True)
                 elif outcome.state == "failed":
-                    print(f"raden: {called(outcome.item)}: {outcome.message}", file=sys.stderr)
+                    print(f"raden: {_told(called(outcome.item), outcome.message)}", file=sys.stderr)
                 shown(report.done / len(items))
     except Interrupted as interrupt:
         _end(target, report, str(interrupt), noun, as_json=as_json)
@@ -74,6 +74,11 @@ def run_items(
     _end(target, report, None, noun, as_json=as_json)
     if report.exit_code:
         raise SystemExit(report.exit_code)
+
+
+def _told(item: str, message: str) -> str:
+    """An item and what was wrong, which may begin with the item's file."""
+    return message if message.startswith(f"{item}:") else f"{item}: {message}"
 
 
 def _end(target: Path, report: Report, stopped_by: str | None, noun: str, *, as_json: bool) -> None:

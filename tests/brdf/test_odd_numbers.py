@@ -21,7 +21,7 @@ from raden_torch.capture.photo.camera import read_camera
 from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.result_file import write_result
 from raden_torch.errors import InputError
-from raden_torch.relighting import _original_lamp
+from raden_torch.relighting import original_lamp
 
 UP = torch.tensor([0.0, 0.0, 1.0], device="cpu").view(1, 3, 1, 1).expand(1, 3, 2, 2)
 
@@ -145,7 +145,7 @@ def test_wild_results_are_one_line(tmp_path: Path) -> None:
     ):
         write_result(path, "normals", {"lamps": lamps})
         with pytest.raises(InputError, match=r"r\.json"):
-            _original_lamp(path, Path("a.png"))
+            original_lamp(path, Path("a.png"))
 
 
 def test_results_that_an_editor_marked_are_read(tmp_path: Path) -> None:

@@ -74,7 +74,10 @@ def test_what_is_wrong_is_said_in_one_line(raden: Command, tmp_path: Path) -> No
     m = rt.simulate_specimen("yakogai", step_deg=35)
     m.save(tmp_path / "a.csv")
     for arguments, words in (
-        (("merge", tmp_path / "a.csv", tmp_path / "a.csv", "-o", tmp_path / "c.csv"), "no weight"),
+        (
+            ("merge", tmp_path / "a.csv", tmp_path / "a.csv", "-o", tmp_path / "c.csv"),
+            "by which its readings are weighed",
+        ),
         (("info", tmp_path / "a.csv", tmp_path / "none.csv"), "none.csv"),
     ):
         done = raden(*arguments)

@@ -49,7 +49,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     cv2.imwrite(str(path / "box.png"), np.full((24, 32, 3), 128, np.uint8))
     cv2.imwrite(str(path / "n.png"), np.full((24, 32, 3), (255, 128, 128), np.uint8))
     cv2.imwrite(str(path / "m.png"), np.full((24, 32), 255, np.uint8))
+    (path / "shells").mkdir()
+    shutil.copy(path / "scan.csv", path / "shells/rim.csv")
+    (path / "lights.csv").write_text('name,light\nleft.png,"-1,1,2"\nright.png,"1,1,2"\n')
     return path
+
+
+def expanded(words: list[str], folder: Path) -> list[str]:
+    """As a shell does: a pattern of files becomes their names."""
+    named = [sorted(str(p.relative_to(folder)) for p in folder.glob(w)) for w in words]
+    return [
+        part
+        for word, found in zip(words, named, strict=True)
+        for part in (found if "*" in word else [word])
+    ]
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
@@ -71,6 +84,7 @@ def test_the_examples_of_help_run(raden: Command, folder: Path, tmp_path: Path) 
             shutil.copy(tmp_path / "shell.binary", tmp_path / "gold.binary")
         if words[0] == "analyse":
             rt.simulate_specimen("yakogai", geometries_deg=mirror).save(tmp_path / "shell.csv")
+        words = expanded(words, tmp_path)
         done = raden(*words, cwd=tmp_path, warn="default")
         assert done.returncode == 0, (words, done.stderr)
         for word in words:  # what an example names is there afterwards

@@ -14,7 +14,7 @@ import pytest
 
 from raden_torch.images.exr_file import ExrFile
 
-FRAMES = 40
+FRAMES = 200
 
 
 @pytest.mark.slow
