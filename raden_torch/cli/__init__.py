@@ -67,8 +67,9 @@ def run(arguments: Sequence[str]) -> None:
 @contextmanager
 def _said(given: dict[str, Any]) -> Iterator[None]:
     """Under --quiet a command that writes files prints nothing, unless it is asked for JSON."""
-    writes = given.get("output") is not None or given.get("out") is not None
-    if level() is not Level.QUIET or given.get("as_json") or not writes:
+    writes = any(given.get(name) is not None for name in ("output", "out", "queue"))
+    as_json = given.get("as_json") or getattr(given.get("sequence"), "json", False)
+    if level() is not Level.QUIET or as_json or not writes:
         yield
         return
     with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):

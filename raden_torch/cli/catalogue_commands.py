@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
+from raden_torch.cli.endings import in_options
+from raden_torch.cli.json_output import AsJson, print_json
 from raden_torch.cli.option_types import argument, files
 from raden_torch.cli.status import progress
 from raden_torch.errors import InputError
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from raden_torch.catalogue import Added, Catalogue, Found, Geometry
 
 Folder = Annotated[Path, argument("the folder of the catalogue")]
-AsJson = Annotated[bool, Parameter(name="--json", help="print JSON instead of text")]
 
 
 @Parameter(name="*")
@@ -54,7 +54,7 @@ def add(
                 added = _added(catalogue, path, what)
             except InputError as error:
                 failed.append(str(error))
-                print(f"raden: {' '.join(str(error).split())}", file=sys.stderr)
+                print(f"raden: {in_options(str(error), sys.argv[1:])}", file=sys.stderr)
             else:
                 done.append(added)
                 if not as_json:
@@ -62,7 +62,7 @@ def add(
             share_done((place + 1) / len(shells))
     if as_json:
         states = [{"state": a.state, **asdict(a.entry)} for a in done]
-        print(json.dumps({"shells": states, "failed": failed}, indent=2, ensure_ascii=False))
+        print_json(shells=states, failed=failed)
     else:
         print(f"{folder}: {len(catalogue)} shells")
     if failed:
@@ -142,11 +142,7 @@ def find(folder: Folder, /, *, what: FindOptions = FindOptions(), as_json: AsJso
 
         save_plot(draw_sheet(catalogue, found, title), what.sheet)
     if as_json:
-        print(
-            json.dumps(
-                _found_json(found, colour.formula if colour else None, at), ensure_ascii=False
-            )
-        )
+        print_json(**_found_json(found, colour.formula if colour else None, at))
         return
     print(title)
     for place, one in enumerate(found, 1):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from raden_torch.cli.catalogue_commands import AsJson, Folder
+from raden_torch.cli.catalogue_commands import Folder
+from raden_torch.cli.json_output import AsJson, print_json
 from raden_torch.cli.option_types import argument, output
 from raden_torch.cli.status import progress
 from raden_torch.errors import InputError
@@ -33,8 +33,7 @@ def show(folder: Folder, shell: ShellId, /, *, as_json: AsJson = False) -> None:
             {"incidence_deg": at, "lab": lab.tolist()}
             for at, lab in zip(_SHOWN_AT, colours, strict=True)
         ]
-        said = {**asdict(entry), **places, "mirror": mirror}
-        print(json.dumps(said, indent=2, ensure_ascii=False))
+        print_json(**asdict(entry), **places, mirror=mirror)
         return
     print("\n".join(_facts(entry, catalogue)))
     from raden_torch.catalogue.colour_query import chroma_and_hue

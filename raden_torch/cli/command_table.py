@@ -55,10 +55,10 @@ class _HelpFormatter:
 _EVERYWHERE = """\
 With every command: --quiet (-q) prints warnings and errors alone where the command writes files; \
 --verbose prints each step with its time, and where an error came from. An older output file is \
-replaced, unless the command reads it.
+replaced, unless the command reads it; frames and folders of models are kept without --force.
 
-Exit codes: 0 done; 1 a fault in raden; 2 wrong input, or a place that cannot be written; 3 a scan \
-that stopped and can be resumed; 128 + n stopped by signal n (130: Ctrl-C)."""
+Exit codes: 0 done; 1 a fault in raden; 2 wrong input, or a place that cannot be written; 3 not \
+all is done, as of frames or a scan that stopped; 128 + n stopped by signal n (130: Ctrl-C)."""
 
 app = App(
     name="raden",

@@ -223,9 +223,12 @@ def _render_with_std(
     output, std_path = outputs
     with working("rendering"):
         if gbuffer is None:
-            size, samples = shape.size or 512, shape.samples or 2
             image, std = sphere_with_std(
-                model, lights, camera=shape.camera, size=size, samples=samples
+                model,
+                lights,
+                camera=shape.camera,
+                size=512 if shape.size is None else shape.size,
+                samples=2 if shape.samples is None else shape.samples,
             )
         else:
             reading = exr.reading

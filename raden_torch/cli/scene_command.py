@@ -44,13 +44,17 @@ def render_scene(
             stops = shown_by.write(scene.frame(), output, scene.caption)
         print(f"wrote {output} (exposure {stops:+.2f} stops)")
         return
+    if sequence.skip_missing:
+        raise InputError(
+            f"{path}: --skip-missing: expected frames with files of their own, got none"
+        )
     if sequence.frames[0] < 1:
         raise InputError(f"{path}: `frames`: expected frames from 1, got {sequence.frames[0]}")
     if output.suffix.lower() in MOVING and not output.is_dir():
-        if sequence.force or sequence.json:
+        if sequence.force or sequence.json or sequence.where.engine != "local":
             raise InputError(
-                f"{output}: expected frames in files of their own with --force or --json, got one "
-                "file"
+                f"{output}: expected frames in files of their own with --force, --json or "
+                "--engine, got one file"
             )
         with progress("rendering") as shown:
             render_moving(scene, sequence.frames, output, shown_by, shown=shown)

@@ -8,6 +8,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from raden_torch.cli.endings import in_options
 from raden_torch.cli.sequence_options import SequenceOptions
 from raden_torch.cli.status import progress
 from raden_torch.interrupts import Interrupted
@@ -66,7 +67,8 @@ def run_items(
                 if as_json:
                     print(report.frame_line(outcome, job.output(outcome.item)), flush=True)
                 elif outcome.state == "failed":
-                    print(f"raden: {_told(called(outcome.item), outcome.message)}", file=sys.stderr)
+                    told = _told(called(outcome.item), outcome.message)
+                    print(f"raden: {in_options(told, sys.argv[1:])}", file=sys.stderr)
                 shown(report.done / len(items))
     except Interrupted as interrupt:
         _end(target, report, str(interrupt), noun, as_json=as_json)

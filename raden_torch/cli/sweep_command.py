@@ -84,8 +84,11 @@ class SweepJob(Job[Row, None, Row, bool]):
         from raden_torch.cli import run
 
         def write(path: Path) -> None:
-            with redirect_stdout(io.StringIO()):
-                run(self.arguments(read, path))
+            try:
+                with redirect_stdout(io.StringIO()):
+                    run(self.arguments(read, path))
+            except SystemExit as ended:
+                raise InputError(f"{read.name}: ended with exit code {ended.code}") from None
 
         self.folder.mkdir(parents=True, exist_ok=True)
         return write_once(self.output(read), write, replace=self.force)
@@ -175,6 +178,8 @@ def _check(job: SweepJob, row: Row, table: Path) -> None:
     """Raise InputError for options that the subcommand does not take."""
     from raden_torch.cli.command_table import app
 
+    if "--frames" in job.arguments(row, job.output(row)):
+        raise InputError(f"{table}: {row.name}: expected one file a row, got --frames")
     try:
         app.parse_args(job.arguments(row, job.output(row)), print_error=False, exit_on_error=False)
     except CycloptsError as error:

@@ -24,7 +24,7 @@ _MOST_NODES = 1 << 24
 
 
 class PaletteGraph(nn.Module):
-    """A `PaletteForm` of vectors of any length."""
+    """A `PaletteForm` of vectors of a length of 1e-18 to 1e18."""
 
     numbers: Tensor
 

@@ -2,7 +2,7 @@
 
 An item is a small thing that travels: a frame's number, or a path. A `Job` is a frozen dataclass of
 plain data and paths, which travels, too; what is large (a model, surroundings) each process makes
-of it once, by `prepare`. Engines: `local.py` for this machine.
+of it once, by `prepare`. Engines: `local.py` for this machine, `cluster.py` for many.
 """
 
 from __future__ import annotations

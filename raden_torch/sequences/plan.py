@@ -6,13 +6,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from raden_torch.brdf.files.display import Display
 from raden_torch.errors import InputError
 from raden_torch.files import check_output
 from raden_torch.sequences.frames import frame_path, frame_range, frames_on_disk, is_pattern
 from raden_torch.sequences.picture_job import PictureJob, Shape
+
+_T = TypeVar("_T")
 
 
 def target_pattern(output: Path, name: str) -> Path:
@@ -99,6 +101,21 @@ def first_like(
     for number in frames:
         try:
             return number, look(frame_path(pattern, number))
+        except InputError as error:
+            refused = refused or error
+    raise refused or InputError(f"{pattern}: expected frames, got none")
+
+
+def first_read(pattern: Path, read: Callable[[int], _T]) -> _T:
+    """What `read` makes of the first frame on disk that it takes; damaged ones fail later.
+
+    Raises:
+        InputError: it takes none: what it says of the first one.
+    """
+    refused: InputError | None = None
+    for number in frames_on_disk(pattern):
+        try:
+            return read(number)
         except InputError as error:
             refused = refused or error
     raise refused or InputError(f"{pattern}: expected frames, got none")

@@ -25,10 +25,10 @@ from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.brdf.shading.relight import matching_gain, shaded_under
 from raden_torch.relighting import Layout, Surface, original_lamp, relit_photograph
-from raden_torch.sequences.frames import frame_path, frames_on_disk, is_pattern
+from raden_torch.sequences.frames import frame_path, is_pattern
 from raden_torch.sequences.lighting import UNSAID, Lighting
 from raden_torch.sequences.picture_job import UNKNOWN, PictureJob, Shape, import_codecs
-from raden_torch.sequences.plan import check_pattern, first_like, frames_to_do
+from raden_torch.sequences.plan import check_pattern, first_like, first_read, frames_to_do
 
 _BYTES_WAITING, _BYTES_WORKING, _BYTES_A_TILE = 48, 400, 120
 """A pixel; a tile is the picture under one of the lamps of a strip or a sheet."""
@@ -180,7 +180,7 @@ def plan_relight(
 def _stops_of_first(job: RelightJob, exposure: str) -> float:
     """Of the new light in the first frame on disk."""
     scene = job.prepare()
-    taken = job.read(scene, frames_on_disk(job.photo)[0])
+    taken = first_read(job.photo, lambda number: job.read(scene, number))
     photo, surface = taken.photo.linear, taken.surface
     settings = [scene.lights] if job.layout == "picture" else scene.lights
     with torch.no_grad():

@@ -25,13 +25,14 @@ from raden_torch.brdf.shading.lights import Light
 from raden_torch.brdf.shading.shade import shade, warn_if_black
 from raden_torch.images.exr_file import ExrFile
 from raden_torch.pictures import SHAPES, load_material
-from raden_torch.sequences.frames import frame_path, frames_on_disk, is_pattern
+from raden_torch.sequences.frames import frame_path, is_pattern
 from raden_torch.sequences.lighting import UNSAID, Lighting
 from raden_torch.sequences.picture_job import UNKNOWN, PictureJob, Shape, import_codecs
 from raden_torch.sequences.plan import (
     check_pattern,
     exposed_alike,
     first_like,
+    first_read,
     frames_to_do,
 )
 
@@ -178,7 +179,7 @@ def plan_render(
 
     def stops() -> float:
         prepared = job.prepare()
-        read = job.read(prepared, frames_on_disk(job.gbuffer)[0])
+        read = first_read(job.gbuffer, lambda number: job.read(prepared, number))
         return job.display.stops(job.work(prepared, read))
 
     return replace(job, display=exposed_alike(job.display, job.target, stops)), left

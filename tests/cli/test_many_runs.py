@@ -39,7 +39,7 @@ FIT = ("--interpolation", "trilinear", "-o", "models")
 def test_a_folder_gets_a_model_of_each_measurement(folder: Path, raden) -> None:
     done = raden("fit", "rim.csv", "broken.csv", "eye.csv", *FIT, cwd=folder)
     assert done.returncode == 3, done.stderr
-    assert done.stderr.startswith("raden: broken.csv: broken.csv: ")
+    assert done.stderr.startswith("raden: broken.csv: columns ")
     assert "2 written, 1 failed (broken.csv)" in done.stdout
     raden("fit", "eye.csv", "--interpolation", "trilinear", "-o", "one.safetensors", cwd=folder)
     one = (folder / "one.safetensors").read_bytes()
@@ -117,3 +117,10 @@ def test_a_sweep_is_of_commands_that_write_one_file(folder: Path, raden) -> None
     done = raden("sweep", "t.csv", "-o", "lit", "--", "info", "matt.safetensors", cwd=folder)
     assert done.returncode == 2
     assert "expected render, fit, relight, plot, export after --, got info" in done.stderr
+
+
+def test_a_row_of_a_sweep_is_no_sequence(folder: Path, raden) -> None:
+    (folder / "t.csv").write_text("name,frames\na.png,1-2\n")
+    done = raden("sweep", "t.csv", *SWEEP, cwd=folder)
+    assert done.returncode == 2
+    assert "a.png: expected one file a row, got --frames" in done.stderr

@@ -283,3 +283,18 @@ def test_a_job_travels_and_its_shared_files_may_be_elsewhere(
     moved = pickle.loads(pickle.dumps(job)).relocated({model_file: copy})
     assert moved.shared == (copy,)
     assert (moved.gbuffer, moved.target, moved.shape) == (job.gbuffer, job.target, job.shape)
+
+
+def test_pictures_are_exposed_as_the_first_frame_that_can_be_read(
+    model_file: Path, shots: Shots, tmp_path: Path, raden: Callable
+) -> None:
+    pattern, out = shots(1, 2, 3), tmp_path / "lit.####.png"
+    (tmp_path / "shot.0001.exr").write_bytes(b"damaged")
+    words = ("render", model_file, "--gbuffer", pattern, "-o", out, "--frames", "1-3")
+    done = raden(*words, "--json", "--quiet")
+    assert done.returncode == 3
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert told[-1]["failed"] == "1"
+    assert names(tmp_path) == ["lit.0002.png", "lit.0003.png"]
+    assert render(model_file, pattern, tmp_path / "own.####.png", "--frames", "3") == 0
+    assert (tmp_path / "own.0003.png").read_bytes() == (tmp_path / "lit.0003.png").read_bytes()
