@@ -47,8 +47,10 @@ SMALLEST = {
     "photo": "raden capture segment a.png --shells 1 -o map.png",
     "spectrometer": "raden scan --simulate --plan random --readings 30 -o scan.csv",
     "export": "raden export shell.safetensors -o shell.onnx",
-    "simulate": "raden capture simulate --lamps 3 --width 120 -o photographs",
+    "simulate": "raden capture simulate --lamps 3 --width 300 -o photographs",
     "xls": "raden info shell.csv",
+    "catalogue": "raden catalogue add shells shell.csv",
+    "cluster": "raden fit shell.csv -o models --interpolation trilinear",
 }
 """A command that needs the extra, of files that `make_inputs` writes."""
 
@@ -146,7 +148,7 @@ def extras(work: Work) -> None:
     _, wheel = work.build()
     project = tomllib.loads((PROJECT / "pyproject.toml").read_text("utf-8"))["project"]
     made = make_inputs(work, wheel)
-    for extra in (e for e in project["optional-dependencies"] if e not in ("all", "dev")):
+    for extra in (e for e in project["optional-dependencies"] if e not in ("all", "dev", "docs")):
         python = work.environment(f"extra-{extra}")
         uv(
             "pip",
