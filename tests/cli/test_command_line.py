@@ -12,6 +12,7 @@ from typing import Any, get_type_hints
 
 import pytest
 from cyclopts import App
+from rich.console import Console
 
 import raden_torch.cli
 from raden_torch.cli.command_table import app
@@ -69,7 +70,7 @@ def test_all_commands_are_here() -> None:
 def test_help_lists_every_field_and_an_example(
     raden: Command, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setattr(app, "console", Console(width=200))  # the app's own is kept as it began
     done = raden(*words, "--help")
     assert (done.returncode, done.stderr) == (0, "")
     shown = " ".join(done.stdout.replace("│", " ").split())

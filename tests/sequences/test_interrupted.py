@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -14,7 +13,7 @@ import pytest
 
 from raden_torch.images.exr_file import ExrFile
 
-FRAMES = 200
+FRAMES = 60
 
 
 @pytest.mark.slow
@@ -25,7 +24,12 @@ def test_ctrl_c_leaves_whole_frames_and_the_rest_can_be_done(
     words = ["render", str(model_file), "--gbuffer", str(pattern), "-o", str(out)]
     command = [sys.executable, "-m", "raden_torch.cli", *words, "--frames", f"1-{FRAMES}", "--json"]
     with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ}
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # a test run in the background of a shell ignores SIGINT, and its processes would, too
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     ) as process:
         assert process.stdout is not None
         told = [json.loads(process.stdout.readline()) for _ in range(3)]
