@@ -115,14 +115,24 @@ def written_beside(path: str | os.PathLike[str]) -> Iterator[Path]:
         InputError: what `check_writable` refuses.
         OSError: it cannot be written (a full disk, no permission); names ``path``.
     """
-    target = check_writable(path)
-    real = _behind_links(target)
-    # the name is known before the file is there: whatever interrupts, it is found and removed
-    temporary = _beside(real, target.suffix)
-    try:
+    with _temporary(path) as (temporary, real):
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         yield temporary
         os.replace(temporary, real)
+
+
+@contextmanager
+def _temporary(path: str | os.PathLike[str]) -> Iterator[tuple[Path, Path]]:
+    """A name beside the file that ``path`` leads to, and that file; raises as `written_beside`.
+
+    What has that name is removed at the end.
+    """
+    target = check_writable(path)
+    real = _behind_links(target)
+    # the name is known before the file is there: whatever interrupts, it is found and removed
+    temporary = real.with_name(f".{real.stem[:40]}.{token_hex(4)}{target.suffix}")
+    try:
+        yield temporary, real
     except OSError as error:
         if error.filename not in (None, str(temporary), temporary):
             raise  # of another file
@@ -173,24 +183,15 @@ def write_once(
     Raises:
         InputError, OSError: as for `written_beside`; whatever `write` raises.
     """
-    target = check_writable(path)
-    real = _behind_links(target)
-    temporary = _beside(real, target.suffix)
-    try:
-        write(temporary)
+    with _temporary(path) as (temporary, real):
+        try:
+            write(temporary)
+        except InputError as error:
+            raise InputError(str(error).replace(str(temporary), os.fspath(path))) from None
         if replace:
             os.replace(temporary, real)
             return True
         return _put_in_place(temporary, real)
-    except OSError as error:
-        if error.filename not in (None, str(temporary), temporary):
-            raise  # of another file
-        raise OSError(error.errno, error.strerror or str(error), str(target)) from None
-    except InputError as error:
-        raise InputError(str(error).replace(str(temporary), str(target))) from None
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
 
 
 def _put_in_place(temporary: Path, real: Path) -> bool:
@@ -204,10 +205,6 @@ def _put_in_place(temporary: Path, real: Path) -> bool:
             return False
         os.replace(temporary, real)
     return True
-
-
-def _beside(real: Path, suffix: str) -> Path:
-    return real.with_name(f".{real.stem[:40]}.{token_hex(4)}{suffix}")
 
 
 def remove_leftovers(path: str | os.PathLike[str]) -> None:

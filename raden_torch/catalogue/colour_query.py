@@ -15,6 +15,7 @@ import numpy as np
 from raden_torch.arrays import Floats
 from raden_torch.colorimetry import SRGB, lab_of, primary_matrix
 from raden_torch.errors import InputError
+from raden_torch.images.colour_space import srgb_curve
 from raden_torch.packages import require
 
 Rank = Literal["chroma", "saturation"]
@@ -175,8 +176,6 @@ def _numbers(text: str) -> list[float]:
 
 def _lab_of_hex(text: str) -> tuple[float, float, float]:
     coded = np.array([int(text[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    # sRGB's curve, IEC 61966-2-1
-    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
     matrix = primary_matrix(SRGB)
-    lightness, a, b = lab_of(matrix @ linear, matrix.sum(axis=1)).tolist()
+    lightness, a, b = lab_of(matrix @ srgb_curve(coded), matrix.sum(axis=1)).tolist()
     return lightness, a, b

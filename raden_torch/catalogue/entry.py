@@ -52,6 +52,14 @@ class Entry:
     def short_id(self) -> str:
         return self.sha256[:SHORT]
 
+    @property
+    def kind_in_words(self) -> str:
+        return f"simulated {self.kind}" if self.simulated else self.kind
+
+    @property
+    def name_in_words(self) -> str:
+        return self.name or "(unnamed)"
+
     def as_row(self) -> dict[str, Any]:
         """For the index; what has no columns of its own is JSON."""
         row = asdict(self)

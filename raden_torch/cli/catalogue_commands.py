@@ -162,11 +162,10 @@ def _found_line(place: int, found: Found) -> str:
         chroma, hue = chroma_and_hue(found.lab)
         star = " " if found.measured else "*"
         said = f"{found.score:8.3g}{star} L* {found.lab[0]:5.1f}  C* {chroma:5.1f}  h {hue:5.1f}°  "
-    kind = f"simulated {entry.kind}" if entry.simulated else entry.kind
     tags = f"  [{', '.join(entry.tags)}]" if entry.tags else ""
     return (
-        f"{place:4}  {entry.short_id}  {said}{entry.name or '(unnamed)'}, {entry.file}, {kind}"
-        + (tags)
+        f"{place:4}  {entry.short_id}  {said}{entry.name_in_words}, {entry.file}, "
+        f"{entry.kind_in_words}{tags}"
     )
 
 

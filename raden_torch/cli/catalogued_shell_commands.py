@@ -46,9 +46,8 @@ def show(folder: Folder, shell: ShellId, /, *, as_json: AsJson = False) -> None:
 
 
 def _facts(entry: Entry, catalogue: Catalogue) -> list[str]:
-    kind = f"simulated {entry.kind}" if entry.simulated else entry.kind
     lines = [
-        f"{entry.name or '(unnamed)'}: {kind}",
+        f"{entry.name_in_words}: {entry.kind_in_words}",
         f"SHA-256: {entry.sha256}",
         f"file: {entry.file}, {entry.bytes} bytes, added {entry.added}",
         f"kept as: {catalogue.file(entry)}",

@@ -3,6 +3,9 @@
 A run is an `Order` that a plugin brings to every worker once, also to those that come later. A
 worker that is fit for it says so by a resource of the run's name, and tasks go to such workers
 alone. What was not done when the scheduler went away is sent again when it is back.
+
+An order is pickled, as Dask's own messages are: whoever reaches a scheduler's port can run code on
+its workers in any case. It is bytes until a worker has found this package, and never a file.
 """
 
 from __future__ import annotations
@@ -72,7 +75,8 @@ class DaskEngine:
                         del left[outcome.item]
                         yield outcome
                         if outcome.is_last:
-                            return
+                            left.clear()
+                            break
                 except Lost:
                     self.say(
                         f"{self.scheduler}: the scheduler went away; {len(left)} of {len(items)} "

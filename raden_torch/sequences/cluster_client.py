@@ -9,6 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
+from dataclasses import replace
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -182,8 +183,6 @@ class RunOnCluster(AbstractContextManager["RunOnCluster"]):
             Lost: the scheduler went away.
             InputError: what the job's `prepare` raised.
         """
-        from dataclasses import replace
-
         from distributed import KilledWorker
 
         self._futures.discard(future)

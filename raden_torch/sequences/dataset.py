@@ -17,9 +17,9 @@ from raden_torch.brdf.files.gbuffer_reading import GBufferReading
 from raden_torch.brdf.files.image_file import read_photograph
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.errors import InputError, check_type
-from raden_torch.sequences.frames import frame_numbers, frame_path, frame_range, frames_on_disk
+from raden_torch.sequences.frames import frame_numbers, frame_path, frames_on_disk
 from raden_torch.sequences.picture_job import Shape
-from raden_torch.sequences.plan import check_pattern
+from raden_torch.sequences.plan import check_pattern, missing
 from raden_torch.sequences.render_job import shape_of_exr
 
 Frame = dict[str, Tensor]
@@ -119,11 +119,7 @@ class FrameDataset(IterableDataset[Frame]):
         }
         for pattern, numbers in gone.items():
             if numbers and not skip_missing:
-                raise InputError(
-                    f"{pattern}: expected frames {frame_range(asked)}, missing are "
-                    f"{frame_range(numbers)} ({len(numbers)} of {len(asked)}); "
-                    "`skip_missing=True` leaves them out"
-                )
+                raise missing(pattern, asked, numbers, "; `skip_missing=True` leaves them out")
         left_out = set().union(*gone.values())
         return [number for number in asked if number not in left_out]
 
@@ -141,12 +137,9 @@ class FrameDataset(IterableDataset[Frame]):
                 is_map = isinstance(value, Tensor) and value.ndim == 4
                 found[name] = value[0] if is_map else torch.as_tensor(value, dtype=torch.float32)
         for name, pattern in self._pictures.items():
-            picture = read_photograph(frame_path(pattern, number)).linear[0]
-            if picture.shape[1:] != self._shape.size:
-                (height, width), (h, w) = self._shape.size, picture.shape[1:]
-                raise InputError(
-                    f"{frame_path(pattern, number)}: expected {width} x {height} pixels, as "
-                    f"{path.name} has, got {w} x {h}"
-                )
+            beside = frame_path(pattern, number)
+            picture = read_photograph(beside).linear[0]
+            height, width = picture.shape[1:]
+            Shape(self.size, ()).check(beside, Shape((height, width), ()), path)
             found[name] = picture
         return found

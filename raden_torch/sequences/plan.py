@@ -72,21 +72,26 @@ def frames_to_do(
         if not job.force and job.output(number).exists():
             kept.append(number)
             continue
-        missing = [p for p in job.patterns if not frame_path(p, number).is_file()]
-        if missing:
-            gone.setdefault(missing[0], []).append(number)
+        lacking = [p for p in job.patterns if not frame_path(p, number).is_file()]
+        if lacking:
+            gone.setdefault(lacking[0], []).append(number)
         else:
             to_do.append(number)
     if gone and (not skip_missing or not (kept or to_do)):
         pattern, numbers = next(iter(gone.items()))
         more = "; `skip_missing` leaves them out" if kept or to_do else ""
-        raise InputError(
-            f"{pattern}: expected frames {frame_range(frames)}, missing are "
-            f"{frame_range(numbers)} ({len(numbers)} of {len(frames)}){more}"
-        )
+        raise missing(pattern, frames, numbers, more)
     for number in {frames[0], frames[-1], *to_do[:1]}:
         check_output(job.output(number), inputs=(*job.inputs(number), *job.shared))
     return sorted([*kept, *to_do]), to_do
+
+
+def missing(pattern: Path, asked: Sequence[int], gone: Sequence[int], hint: str) -> InputError:
+    """To raise where frames have no file."""
+    return InputError(
+        f"{pattern}: expected frames {frame_range(asked)}, missing are {frame_range(gone)} "
+        f"({len(gone)} of {len(asked)}){hint}"
+    )
 
 
 def first_like(

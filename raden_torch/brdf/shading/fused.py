@@ -56,7 +56,6 @@ def shade_one(
         return None
     normal, layers, view, position, camera, mask, lamps = inputs
     normal, lamps = cast(Tensor, normal), cast(Tensor, lamps)
-    _check(normal, lamps)
     if trades and view is not None and layers is None and normal.device.type == "cpu":
         sphere = lamps_from_afar(model, normal, view, lights, lamps, tolerance / 2)
         if sphere is not None:
@@ -93,7 +92,6 @@ def shade_several(
     inputs = kernel_inputs(gbuffer, lights, bound, tolerance)
     if inputs is None or not all(kernel.takes(model, *inputs) for model in read):
         return None
-    _check(cast(Tensor, inputs[0]), cast(Tensor, inputs[-1]))
     return kernel.shade_several(models, choice, inputs)
 
 
@@ -109,7 +107,6 @@ def shade_turned(
     inputs = kernel_inputs(gbuffer, lights)
     if inputs is None or not kernel.takes_tensors(*inputs, tangent, *model.parameters()):
         return None
-    _check(cast(Tensor, inputs[0]), cast(Tensor, inputs[-1]))
     turns = [math.radians(x) for x in model.azimuth_deg], math.radians(model.period_deg)
     return kernel.shade_turned(model.tables(), model.layout.warp, turns, tangent, inputs)
 
@@ -132,6 +129,9 @@ def kernel_inputs(
 
     Args:
         bound: `[3]`, the most that any model reflects, where lights may be left out.
+
+    Raises:
+        InputError: lights of another batch than the normals.
     """
     lights = [x.kept_lamps() if isinstance(x, EnvironmentLight) else x for x in lights]
     known = [light for light in lights if isinstance(light, KernelLight)]
@@ -149,12 +149,9 @@ def kernel_inputs(
         if key not in found:
             found[key] = packed(known, position, normal)
         lamps = found[key]
-    return normal, gbuffer.layer_normal, view, position, camera, floating(gbuffer.mask), lamps
-
-
-def _check(normal: Tensor, lamps: Tensor) -> None:
     for lamp in lamps[:1]:
         geometry.check_vector_maps(normal=normal, light=lamp[:, 1:4, None, None])
+    return normal, gbuffer.layer_normal, view, position, camera, floating(gbuffer.mask), lamps
 
 
 def floating(mask: Tensor | None) -> Tensor | None:
