@@ -19,7 +19,7 @@ from raden_torch.plots.plot_style import (
     SMALL,
     brightest,
     finish,
-    say_missing,
+    or_say_missing,
     true_colour,
 )
 from raden_torch.plots.view import View, view_of
@@ -70,10 +70,8 @@ def plot_path(
         incidence_deg: the incidence in degrees at which the brightest tilt is looked for.
     """
     view, title = view_of(source), "Iridescence path, mirror direction r = a"
-    try:
-        paths = mirror_paths(view, incidence_deg)
-    except NotMeasuredError as why:
-        say_missing(ax, title, str(why))
+    paths = or_say_missing(ax, title, lambda: mirror_paths(view, incidence_deg))
+    if paths is None:
         return
     _landmarks(ax)
     for path, (colour, marker) in zip(paths, _STYLES, strict=False):

@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.plots.cuts import OUTSIDE_DEG, SLAB_DEG, Cut, NotMeasuredError
+from raden_torch.plots.cuts import OUTSIDE_DEG, SLAB_DEG, Cut
 from raden_torch.plots.plot_style import (
     FACTOR_LABEL,
     FAINT,
@@ -20,6 +20,7 @@ from raden_torch.plots.plot_style import (
     cell_edges,
     curves,
     finish,
+    or_say_missing,
     say_missing,
     true_colour,
 )
@@ -43,10 +44,9 @@ def plot_in_plane(
         incidence_deg, tilt_deg: the held angles in degrees; a measurement takes its nearest node.
     """
     view, title = view_of(source), "Fig. 5: in-plane slice"
-    try:
-        cut = view.samples.cut(("receiving",), {"incidence": incidence_deg, "tilt": tilt_deg})
-    except NotMeasuredError as why:
-        say_missing(ax, title, str(why))
+    held = {"incidence": incidence_deg, "tilt": tilt_deg}
+    cut = or_say_missing(ax, title, lambda: view.samples.cut(("receiving",), held))
+    if cut is None:
         return
     angle = cut.deg["receiving"]
     mirror = float(np.mean(cut.deg["incidence"]))
@@ -83,11 +83,9 @@ def plot_over_tilt(
         beyond = incidence_deg + AWAY_DEG
         most = view.samples.limits("receiving")[1]
         receiving_deg = beyond if beyond <= most else incidence_deg - AWAY_DEG
-    try:
-        held = {"incidence": incidence_deg, "receiving": receiving_deg}
-        cut = view.samples.cut(("tilt",), held)
-    except NotMeasuredError as why:
-        say_missing(ax, title, str(why))
+    held = {"incidence": incidence_deg, "receiving": receiving_deg}
+    cut = or_say_missing(ax, title, lambda: view.samples.cut(("tilt",), held))
+    if cut is None:
         return
     tilt = cut.deg["tilt"]
     _draw_data(ax, view, tilt, cut)
@@ -106,10 +104,8 @@ def plot_ridge(ax: Axes, source: BrdfMeasurement | RadenBrdf | View) -> None:
     """R, G and B along the mirror ridge, receiving = incidence, at the tilt nearest to 0, with true
     colour; the dashed line is the brightest tilt's G (or the one band's)."""
     view, title = view_of(source), "Ridge: receiving = incidence"
-    try:
-        ridge = view.samples.mirror()
-    except NotMeasuredError as why:
-        say_missing(ax, title, str(why))
+    ridge = or_say_missing(ax, title, view.samples.mirror)
+    if ridge is None:
         return
     tilt = ridge.deg["tilt"]
     if ridge.joined:

@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm, Normalize
 from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.plots.cuts import Cut, NotMeasuredError
+from raden_torch.plots.cuts import Cut
 from raden_torch.plots.plot_style import (
     FACTOR_LABEL,
     SMALL,
@@ -21,6 +21,7 @@ from raden_torch.plots.plot_style import (
     cell_edges,
     curves,
     finish,
+    or_say_missing,
     say_missing,
     true_colour,
 )
@@ -103,12 +104,8 @@ def _edges(cut: Cut) -> tuple[Floats, Floats]:
 
 
 def _cut(ax: Axes, source: Source, title: str, incidence_deg: float) -> tuple[View, Cut | None]:
-    view = view_of(source)
-    try:
-        return view, view.samples.cut(("receiving", "tilt"), {"incidence": incidence_deg})
-    except NotMeasuredError as why:
-        say_missing(ax, title, str(why))
-        return view, None
+    view, held = view_of(source), {"incidence": incidence_deg}
+    return view, or_say_missing(ax, title, lambda: view.samples.cut(("receiving", "tilt"), held))
 
 
 def _draw(ax: Axes, cut: Cut, values: Floats, **style: Any) -> Any:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
@@ -14,9 +15,12 @@ from matplotlib.ft2font import FT2Font
 
 from raden_torch.arrays import Floats
 from raden_torch.measurement.readings import RGB
+from raden_torch.plots.cuts import NotMeasuredError
 
 if TYPE_CHECKING:
     from raden_torch.plots.view import View
+
+_T = TypeVar("_T")
 
 FACTOR_LABEL = "reflectance factor (perfect diffuser = 100)"
 INK, FAINT, UNMEASURED = "0.15", "0.62", "0.88"
@@ -112,6 +116,15 @@ def say_missing(ax: Any, title: str, text: str) -> None:
         color="0.4",
         style="italic",
     )
+
+
+def or_say_missing(ax: Any, title: str, take: Callable[[], _T]) -> _T | None:
+    """What is taken of the samples; None, and said on the axes, where they lack it."""
+    try:
+        return take()
+    except NotMeasuredError as why:
+        say_missing(ax, title, str(why))
+        return None
 
 
 def printable(text: str) -> str:

@@ -9,8 +9,7 @@ import numpy as np
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.plots.cuts import NotMeasuredError
-from raden_torch.plots.plot_style import FACTOR_LABEL, INK, SMALL, TEXT, curves, say_missing
+from raden_torch.plots.plot_style import FACTOR_LABEL, INK, SMALL, TEXT, curves, or_say_missing
 from raden_torch.plots.view import View, view_of
 
 _LAMP = "#b8860b"
@@ -36,10 +35,9 @@ def plot_polar(
     if not hasattr(ax, "set_theta_zero_location"):
         raise InputError('plot: expected axes with projection="polar", got ordinary axes')
     view, title = view_of(source), "Polar"
-    try:
-        cut = view.samples.cut(("receiving",), {"incidence": incidence_deg, "tilt": tilt_deg})
-    except NotMeasuredError as why:
-        say_missing(ax, title, str(why))
+    held = {"incidence": incidence_deg, "tilt": tilt_deg}
+    cut = or_say_missing(ax, title, lambda: view.samples.cut(("receiving",), held))
+    if cut is None:
         return
     ax.set_theta_zero_location("N")
     ax.set_theta_direction(-1)

@@ -10,13 +10,14 @@ from raden_torch.arrays import Floats
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
-from raden_torch.plots.cuts import Cut, NotMeasuredError
+from raden_torch.plots.cuts import Cut
 from raden_torch.plots.plot_style import (
     INK,
     SMALL,
     TEXT,
     brightest,
     curves,
+    or_say_missing,
     say_missing,
     true_colour,
 )
@@ -45,10 +46,9 @@ def plot_diffuse_surface(
     _check_3d(ax)
     view = view_of(source)
     title = "Fig. 8: diffuse fit" if fit else "Fig. 7: diffuse surface"
-    try:
-        cut = view.samples.cut(("receiving", "incidence"), {"tilt": tilt_deg})
-    except NotMeasuredError as why:
-        say_missing(ax, title, str(why))
+    over = ("receiving", "incidence")
+    cut = or_say_missing(ax, title, lambda: view.samples.cut(over, {"tilt": tilt_deg}))
+    if cut is None:
         return
     part = view.diffuse_factors(cut.deg)
     if fit and part is None:
@@ -73,10 +73,9 @@ def plot_specular_surface(
     """
     _check_3d(ax)
     view, title = view_of(source), "Fig. 9: specular part"
-    try:
-        cut = view.samples.cut(("receiving", "tilt"), {"incidence": incidence_deg})
-    except NotMeasuredError as why:
-        say_missing(ax, title, str(why))
+    held = {"incidence": incidence_deg}
+    cut = or_say_missing(ax, title, lambda: view.samples.cut(("receiving", "tilt"), held))
+    if cut is None:
         return
     part = view.diffuse_factors(cut.deg)
     specular = cut.values if part is None else cut.values - part
