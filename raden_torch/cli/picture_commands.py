@@ -31,7 +31,7 @@ from raden_torch.packages import require
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from raden_torch.brdf.files.display import Display
+    from raden_torch.brdf.files.gbuffer_reading import GBufferReading
     from raden_torch.brdf.materials.surface import Reflection
     from raden_torch.brdf.model.model import RadenBrdf
     from raden_torch.brdf.shading.lights import Light
@@ -64,9 +64,51 @@ class ShapeOptions:
             lights,
             camera=self.camera,
             tangent=tangent,
-            size=512 if self.size is None else self.size,
-            samples=2 if self.samples is None else self.samples,
+            size=self.pixels,
+            samples=self.rays,
         )
+
+    @property
+    def pixels(self) -> int:
+        return 512 if self.size is None else self.size
+
+    @property
+    def rays(self) -> int:
+        return 2 if self.samples is None else self.samples
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What `render` was asked for, beside frames and standard deviations."""
+
+    model: Path
+    output: Path
+    light: Lamps
+    around: EnvironmentOptions
+    spectrum: SpectrumOptions
+    display: DisplayOptions
+    shape: ShapeOptions
+    gbuffer: Path | None
+    exr: GBufferOptions
+
+    @property
+    def reading(self) -> GBufferReading:
+        """Of the G-buffer, with the camera that is given beside it."""
+        camera = self.shape.camera
+        return self.exr.reading if camera is None else replace(self.exr.reading, camera=camera)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nothing was said that a scene file says itself."""
+        own = (self.light, self.around, self.spectrum, self.gbuffer, self.exr)
+        usual = ((), EnvironmentOptions(), SpectrumOptions(), None, GBufferOptions())
+        return own == usual and (self.shape.shape, self.shape.camera) == ("sphere", None)
+
+    @property
+    def files(self) -> tuple[Path | None, ...]:
+        """What is read."""
+        said = (self.around.environment, self.exr.material, self.exr.camera_file)
+        return (self.model, self.gbuffer, *said, *self.spectrum.files)
 
 
 def render(
@@ -97,77 +139,57 @@ def render(
         ),
     ] = None,
 ) -> None:
+    asked = _Asked(model, output, light, around, spectrum, display, shape, gbuffer, exr)
     if model.suffix.lower() == ".toml":
         from raden_torch.cli.scene_command import render_scene
 
-        own = (light, around, spectrum, gbuffer, exr, shape.shape, shape.camera, std)
-        is_plain = own == _NO_SCENE_OF_ITS_OWN
+        is_plain = asked.is_plain and std is None
         render_scene(model, output, display, shape.size, shape.samples, sequence, is_plain=is_plain)
-        return
-    if sequence.frames is not None:
-        if std is not None:
-            raise InputError("--std: expected one picture, got --frames")
-        _render_frames(
-            model, output, light, around, spectrum, display, gbuffer, exr, shape.camera, sequence
-        )
-        return
-    _render_picture(model, output, light, around, spectrum, display, shape, gbuffer, exr, std)
+    elif sequence.frames is None:
+        _render_picture(asked, std)
+    elif std is None:
+        _render_frames(asked, sequence)
+    else:
+        raise InputError("--std: expected one picture, got --frames")
 
 
-def _render_picture(
-    model: Path,
-    output: Path,
-    light: Lamps,
-    around: EnvironmentOptions,
-    spectrum: SpectrumOptions,
-    display: DisplayOptions,
-    shape: ShapeOptions,
-    gbuffer: Path | None,
-    exr: GBufferOptions,
-    std: Path | None,
-) -> None:
+def _render_picture(asked: _Asked, std: Path | None) -> None:
     """One picture, and what its standard deviations are, where they are asked for."""
     from raden_torch.pictures import load_material, save_picture
     from raden_torch.sequences.plan import check_no_pattern
 
-    shown_by = display.display
+    output, shown_by = asked.output, asked.display.display
     shown_by.check_path(output)
-    read = (model, gbuffer, around.environment, exr.material, exr.camera_file, *spectrum.files)
-    check_output(output, inputs=read)
-    lights = [*lights_of(light), *around.lights()]
-    if gbuffer is None:
-        exr.check_without_gbuffer()
+    check_output(output, inputs=asked.files)
+    lights = [*lights_of(asked.light), *asked.around.lights()]
+    if asked.gbuffer is None:
+        asked.exr.check_without_gbuffer()
     else:
-        check_no_pattern(gbuffer)
+        check_no_pattern(asked.gbuffer)
     if std is not None:
-        _check_std(std, output, read, shape, exr)
-    loaded = load_material(model, spectrum.illuminant, spectrum.white)
+        _check_std(std, asked)
+    loaded = load_material(asked.model, asked.spectrum.illuminant, asked.spectrum.white)
     if std is not None:
-        used = _render_with_std(loaded, gbuffer, (output, std), lights, exr, shape, shown_by)
+        used = _render_with_std(loaded, asked, std, lights)
         print(f"wrote {output} (exposure {used:+.2f} stops)\nwrote {std}")
         return
-    if gbuffer is None:
+    if asked.gbuffer is None:
         with working("rendering"):
-            image = shape.image(loaded, lights, exr.tangent)
+            image = asked.shape.image(loaded, lights, asked.exr.tangent)
             used = save_picture(image, output, loaded, display=shown_by)
     else:
-        used = _render_gbuffer(loaded, gbuffer, output, lights, exr, shape.camera, shown_by)
+        used = _render_gbuffer(loaded, asked, asked.gbuffer, lights)
     print(f"wrote {output} (exposure {used:+.2f} stops)")
 
 
 def _render_gbuffer(
-    model: Reflection,
-    gbuffer: Path,
-    output: Path,
-    lights: Sequence[Light],
-    exr: GBufferOptions,
-    camera: Triple | None,
-    shown_by: Display,
+    model: Reflection, asked: _Asked, gbuffer: Path, lights: Sequence[Light]
 ) -> float:
     """The stops that it was exposed by."""
     from raden_torch.pictures import render_gbuffer, render_gbuffer_file, save_picture
 
-    reading = exr.reading if camera is None else replace(exr.reading, camera=camera)
+    exr, output, shown_by = asked.exr, asked.output, asked.display.display
+    reading = asked.reading
     lights = [reading.light(light) for light in lights]
     if output.suffix.lower() == ".exr":
         with progress("rendering") as shown:
@@ -190,53 +212,35 @@ def _render_gbuffer(
         return save_picture(image, output, model, display=shown_by)
 
 
-def _check_std(
-    std: Path,
-    output: Path,
-    read: Sequence[Path | None],
-    shape: ShapeOptions,
-    exr: GBufferOptions,
-) -> None:
-    check_outputs(output, std, inputs=read)
+def _check_std(std: Path, asked: _Asked) -> None:
+    check_outputs(asked.output, std, inputs=asked.files)
     if std.suffix.lower() != ".exr":
         from raden_torch.plots import PLOT_SUFFIXES
 
         check_output(std, (*PLOT_SUFFIXES, ".exr"))
-    if shape.shape != "sphere":
-        raise InputError(f"--std: expected the shape sphere, or --gbuffer, got {shape.shape}")
-    if exr.memory != GBufferOptions().memory or exr.tolerance:
+    if asked.shape.shape != "sphere":
+        raise InputError(f"--std: expected the shape sphere, or --gbuffer, got {asked.shape.shape}")
+    if asked.exr.memory != GBufferOptions().memory or asked.exr.tolerance:
         raise InputError("--std: expected without --memory and --tolerance, got one of them")
 
 
 def _render_with_std(
-    model: Reflection,
-    gbuffer: Path | None,
-    outputs: tuple[Path, Path],
-    lights: Sequence[Light],
-    exr: GBufferOptions,
-    shape: ShapeOptions,
-    shown_by: Display,
+    model: Reflection, asked: _Asked, std_path: Path, lights: Sequence[Light]
 ) -> float:
     """The stops that the picture was exposed by."""
     from raden_torch.pictures import gbuffer_with_std, save_picture, sphere_with_std
 
-    output, std_path = outputs
+    shape, gbuffer = asked.shape, asked.gbuffer
     with working("rendering"):
         if gbuffer is None:
             image, std = sphere_with_std(
-                model,
-                lights,
-                camera=shape.camera,
-                size=512 if shape.size is None else shape.size,
-                samples=2 if shape.samples is None else shape.samples,
+                model, lights, camera=shape.camera, size=shape.pixels, samples=shape.rays
             )
         else:
-            reading = exr.reading
-            if shape.camera is not None:
-                reading = replace(reading, camera=shape.camera)
+            reading, shadowed = asked.reading, asked.exr.shadowed
             lights = [reading.light(light) for light in lights]
-            image, std = gbuffer_with_std(model, gbuffer, lights, reading, shadowed=exr.shadowed)
-        used = save_picture(image, output, model, display=shown_by)
+            image, std = gbuffer_with_std(model, gbuffer, lights, reading, shadowed=shadowed)
+        used = save_picture(image, asked.output, model, display=asked.display.display)
         if std_path.suffix.lower() == ".exr":
             from raden_torch.brdf.files.exr_tensors import write_std
 
@@ -248,43 +252,26 @@ def _render_with_std(
     return used
 
 
-_NO_SCENE_OF_ITS_OWN = (
-    *((), EnvironmentOptions(), SpectrumOptions(), None),
-    *(GBufferOptions(), "sphere", None, None),
-)
-"""`render`'s options that a scene file says itself, as they are where none is given."""
-
-
-def _render_frames(
-    model: Path,
-    output: Path,
-    light: Lamps,
-    around: EnvironmentOptions,
-    spectrum: SpectrumOptions,
-    display: DisplayOptions,
-    gbuffer: Path | None,
-    exr: GBufferOptions,
-    camera: Triple | None,
-    sequence: SequenceOptions,
-) -> None:
+def _render_frames(asked: _Asked, sequence: SequenceOptions) -> None:
     from raden_torch.cli.sequence_run import run_frames
     from raden_torch.sequences.plan import target_pattern
     from raden_torch.sequences.render_job import RenderJob, plan_render
 
+    model, gbuffer, exr = asked.model, asked.gbuffer, asked.exr
     if gbuffer is None or sequence.frames is None:
         raise InputError(f"{model}: `frames`: expected with --gbuffer or a scene file, got neither")
     job = RenderJob(
-        target=target_pattern(output, gbuffer.name),
+        target=target_pattern(asked.output, gbuffer.name),
         force=sequence.force,
         model=model,
         gbuffer=gbuffer,
-        reading=exr.reading if camera is None else replace(exr.reading, camera=camera),
-        lighting=replace(around.lighting, lamps=tuple(lights_of(light))),
-        display=display.display,
+        reading=asked.reading,
+        lighting=replace(asked.around.lighting, lamps=tuple(lights_of(asked.light))),
+        display=asked.display.display,
         tolerance=exr.tolerance,
         shadowed=exr.shadowed,
-        illuminant=spectrum.illuminant,
-        white=spectrum.white,
+        illuminant=asked.spectrum.illuminant,
+        white=asked.spectrum.white,
     )
     with working("looking at the frames"):
         job, frames = plan_render(job, sequence.frames, skip_missing=sequence.skip_missing)
