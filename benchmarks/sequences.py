@@ -284,7 +284,7 @@ def peak():
     line = next(s for s in open("/proc/self/status") if s.startswith("VmHWM"))
     return 1024 * int(line.split()[1])
 engine = LocalEngine(prepared=job.prepare())
-import raden_torch.brdf.model.kernel
+import raden_torch.brdf.model.shading_kernel
 before = peak()
 assert {o.state for o in engine.run(job, left)} == {"written"}
 print(before, peak())

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from raden_torch.brdf.model import kernel
+from raden_torch.brdf.model import shading_kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.environment import EnvironmentLight
 from raden_torch.brdf.shading.lights import DirectionalLight, Light
@@ -69,7 +69,7 @@ def surroundings_from_afar(
         sphere = _sphere_under(model, light, view, probes, share * normal.numel() / 3)
         if sphere is None:
             return None
-        found = kernel.look_up(sphere, normal, mask)
+        found = shading_kernel.look_up(sphere, normal, mask)
         image = found if image is None else image.add_(found)
     return image
 
@@ -85,7 +85,7 @@ def _sphere_under(
             return None
         truth = light_normals(probes) if truth is None else truth
         sphere = sphere_of_side(light_normals, view.flatten(), side)
-        error = (kernel.look_up(sphere, probes, None) - truth).abs().amax(1)
+        error = (shading_kernel.look_up(sphere, probes, None) - truth).abs().amax(1)
         if float(error.quantile(SURE)) <= light.tolerance * float(truth.abs().max()):
             factor = checked("intensity", light.intensity, may_be_one=True).float()
             return replace(sphere, radiance=sphere.radiance.mul_(factor))
@@ -98,7 +98,7 @@ def _is_one_view(view: Tensor) -> bool:
 
 def _lighting(model: RadenBrdf, view: Tensor, lamps: Tensor) -> Callable[[Tensor], Tensor]:
     def light_normals(normal: Tensor) -> Tensor:
-        return kernel.shade(model, normal, view, None, None, None, lamps)
+        return shading_kernel.shade(model, normal, view, None, None, None, lamps)
 
     return light_normals
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from raden_torch import geometry
 from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.surface import Reflection, SurfaceReflection
-from raden_torch.brdf.model import kernel
+from raden_torch.brdf.model import kernel, shading_kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.eager import is_recorded
 from raden_torch.brdf.shading.environment import EnvironmentLight
@@ -59,8 +59,8 @@ def shade_one(
     if trades and view is not None and layers is None and normal.device.type == "cpu":
         sphere = lamps_from_afar(model, normal, view, lights, lamps, tolerance / 2)
         if sphere is not None:
-            return kernel.look_up(sphere, normal, mask)
-    return kernel.shade(model, normal, view, position, camera, mask, lamps, layers)
+            return shading_kernel.look_up(sphere, normal, mask)
+    return shading_kernel.shade(model, normal, view, position, camera, mask, lamps, layers)
 
 
 def shade_several(
@@ -74,11 +74,11 @@ def shade_several(
 
     Args:
         models: None is black.
-        choice: indices or weights, as `kernel.shade_several` takes them.
+        choice: indices or weights, as `shading_kernel.shade_several` takes them.
     """
     read = [model for model in models if model is not None]
     weighted = choice.is_floating_point()
-    if not read or (weighted and len(models) > min(len(read), kernel.MOST_WEIGHTS)):
+    if not read or (weighted and len(models) > min(len(read), shading_kernel.MOST_WEIGHTS)):
         return None
     if gbuffer.normal.device.type != "cpu" or choice.device.type != "cpu":
         return None
@@ -92,7 +92,7 @@ def shade_several(
     inputs = kernel_inputs(gbuffer, lights, bound, tolerance)
     if inputs is None or not all(kernel.takes(model, *inputs) for model in read):
         return None
-    return kernel.shade_several(models, choice, inputs)
+    return shading_kernel.shade_several(models, choice, inputs)
 
 
 def shade_turned(
@@ -108,7 +108,7 @@ def shade_turned(
     if inputs is None or not kernel.takes_tensors(*inputs, tangent, *model.parameters()):
         return None
     turns = [math.radians(x) for x in model.azimuth_deg], math.radians(model.period_deg)
-    return kernel.shade_turned(model.tables(), model.layout.warp, turns, tangent, inputs)
+    return shading_kernel.shade_turned(model.tables(), model.layout.warp, turns, tangent, inputs)
 
 
 def is_lamp(light: Light) -> bool:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, max_pool2d, normalize
 
-from raden_torch.brdf.model import kernel
+from raden_torch.brdf.model import shading_kernel
 from raden_torch.brdf.shading.gbuffer import GBuffer
 from raden_torch.brdf.shading.latlong import octahedral, octahedral_directions
 from raden_torch.brdf.shading.lit_sphere import with_room
@@ -137,7 +137,7 @@ class MirrorTable:
         grid = self.grid
         numbers = [*torch.cat([grid.axes.flatten(), grid.low, grid.step]).tolist(), _RIM]
         nodes = (grid.count, self.side)
-        return kernel.look_up_mirror(self.radiance, nodes, numbers, *maps_of(gbuffer))
+        return shading_kernel.look_up_mirror(self.radiance, nodes, numbers, *maps_of(gbuffer))
 
     def read_pixels(self, normal: Tensor, view: Tensor) -> Tensor:
         """`[N, 3]` for unit normals and views `[N, 3]`, in torch."""

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from raden_torch import geometry
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.brdf.model import kernel
+from raden_torch.brdf.model import kernel, shading_kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.model.runtime_table import read
 from raden_torch.brdf.model.table_errors import TableErrors
@@ -160,7 +160,7 @@ def _fused(
         return None
     ends = [k == len(group) - 1 for group in groups for k in range(len(group))]
     assert model.errors is not None
-    image, own, systematic = kernel.shade_with_errors(
+    image, own, systematic = shading_kernel.shade_with_errors(
         _nodes_of(model), model.layout.warp, inputs, model.errors.scale_std, ends
     )
     return image, RadianceStd(own, systematic)

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from raden_torch import geometry
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.brdf.model import kernel
+from raden_torch.brdf.model import kernel, shading_kernel
 from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.brdf.shading.eager import masked
 from raden_torch.brdf.shading.environment import EnvironmentLight
@@ -224,7 +224,7 @@ def _radiance_under(material: Reflection, light: EnvironmentLight) -> Radiance:
 
     def radiance(normal: Tensor, view: Tensor) -> Tensor:
         n, v = (x.T.reshape(1, 3, 1, -1) for x in (normal, view))
-        return kernel.shade(material, n, v, None, None, None, lamps)[0, :, 0].T
+        return shading_kernel.shade(material, n, v, None, None, None, lamps)[0, :, 0].T
 
     return radiance
 

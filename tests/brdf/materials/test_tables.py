@@ -16,7 +16,7 @@ from raden_torch.brdf.materials.coat import Coated
 from raden_torch.brdf.materials.metal import Foil, Powder
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.urushi import Lambertian, black_urushi
-from raden_torch.brdf.model import simd
+from raden_torch.brdf.model import shading_kernel, simd
 from raden_torch.errors import InputError
 
 UP = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).view(1, 3, 1, 1)
@@ -95,13 +95,12 @@ def frame() -> tuple[rt.GBuffer, list[Any]]:
 @pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
 @pytest.mark.parametrize("name", ["gold", "powder"])
 def test_metals_are_shaded_by_the_fused_kernel(name: str, monkeypatch) -> None:
-    from raden_torch.brdf.model import kernel
 
     gbuffer, lights = frame()
     double = {k: m.double() if isinstance(m, Tensor) else m for k, m in vars(gbuffer).items()}
     exact = rt.shade(MATERIALS[name], rt.GBuffer(**double), lights)
-    calls, one = [], kernel.shade
-    monkeypatch.setattr(kernel, "shade", lambda *a: (calls.append(a), one(*a))[1])
+    calls, one = [], shading_kernel.shade
+    monkeypatch.setattr(shading_kernel, "shade", lambda *a: (calls.append(a), one(*a))[1])
     found = rt.shade(MATERIALS[name], gbuffer, lights)
     assert len(calls) == 1
     torch.testing.assert_close(found.double(), exact, rtol=1e-3, atol=1e-5)
@@ -109,10 +108,11 @@ def test_metals_are_shaded_by_the_fused_kernel(name: str, monkeypatch) -> None:
 
 def test_a_map_of_powder_is_the_mean_of_two_images(monkeypatch) -> None:
     """In one pass of the kernel, where it was built."""
-    from raden_torch.brdf.model import kernel
 
-    calls, several = [], kernel.shade_several
-    monkeypatch.setattr(kernel, "shade_several", lambda *a: (calls.append(a), several(*a))[1])
+    calls, several = [], shading_kernel.shade_several
+    monkeypatch.setattr(
+        shading_kernel, "shade_several", lambda *a: (calls.append(a), several(*a))[1]
+    )
     gbuffer, lights = frame()
     density = torch.linspace(-0.3, 1.3, 70).clamp(0, 1).expand(1, 1, 20, 70).clone()
     mask = (torch.rand(1, 1, 20, 70, generator=torch.Generator().manual_seed(1)) > 0.4).float()

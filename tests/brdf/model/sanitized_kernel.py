@@ -26,9 +26,9 @@ import raden_torch.brdf  # noqa: E402
 raden_torch.brdf._kernel = module
 
 from raden_torch.brdf.model import simd  # noqa: E402
-from raden_torch.brdf.model.kernel import shade_several  # noqa: E402
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable  # noqa: E402
 from raden_torch.brdf.model.runtime_table import RuntimeLayout  # noqa: E402
+from raden_torch.brdf.model.shading_kernel import shade_several  # noqa: E402
 from raden_torch.brdf.shading.lights import KernelLight, packed  # noqa: E402
 from raden_torch.brdf.shading.stress_geometries import regions  # noqa: E402
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 import raden_torch as rt
-from raden_torch.brdf.model import kernel, simd
+from raden_torch.brdf.model import shading_kernel, simd
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.brdf.shading.lights import KernelLight, packed
@@ -46,7 +46,7 @@ def models() -> list[rt.RadenBrdf]:
 
 
 def maps(lights: str = "directional", *, layers: bool = False, mask: bool = False) -> Maps:
-    """As `kernel.shade_several` takes them."""
+    """As `shading_kernel.shade_several` takes them."""
     b, h, w = SIZE
     generator = torch.Generator().manual_seed(6)
     normal, leaning = (
@@ -67,7 +67,7 @@ def alone(model: rt.RadenBrdf, given: Maps) -> Tensor:
     normal, layers, view, position, camera, mask, lamps = given
     assert normal is not None
     assert lamps is not None
-    return kernel.shade(model, normal, view, position, camera, mask, lamps, layers)
+    return shading_kernel.shade(model, normal, view, position, camera, mask, lamps, layers)
 
 
 def indices(count: int) -> dict[str, Tensor]:
@@ -98,7 +98,7 @@ def test_each_pixel_is_that_of_its_table_alone(models, level, lights, layers, ma
     with simd.using(level):
         images = torch.stack([alone(model, given) for model in models])
         for name, index in indices(len(models)).items():
-            found = kernel.shade_several(models, index, given)
+            found = shading_kernel.shade_several(models, index, given)
             at = index.long().expand(SIZE[0], 1, *SIZE[1:]).expand_as(found)
             assert torch.equal(found, images.gather(0, at[None])[0]), name
     assert (images != 0).any() == (lights != "none")
@@ -124,7 +124,7 @@ def test_the_error_is_that_of_the_eager_form(models, level) -> None:
     given = list(maps())
     given[-1] = packed(lights, given[3], gbuffer["normal"])
     with simd.using(level):
-        found = (kernel.shade_several(models, index, tuple(given)) - exact).abs()
+        found = (shading_kernel.shade_several(models, index, tuple(given)) - exact).abs()
     rounding = 3e-7 * float(exact.max())
     assert found.mean() <= 2 * eager.mean() + rounding
     for share in (0.9, 0.999):
@@ -145,7 +145,7 @@ def test_an_index_of_no_table_is_black(models, level, integer) -> None:
     with simd.using(level):
         images = torch.stack([alone(model, given) for model in models])
         images[2] = 0
-        found = kernel.shade_several(there, odd, given)
+        found = shading_kernel.shade_several(there, odd, given)
     known = (odd.long() >= 0) & (odd.long() < 4)
     expected = images.gather(0, (odd.long() * known).expand_as(found)[None])[0] * known
     assert torch.equal(found, expected)
@@ -169,9 +169,9 @@ def test_weights_mix_the_images(models, level, rest, mask) -> None:
         expected = sum(weights[:, k : k + 1] * alone(m, given) for k, m in enumerate(models))
         assert isinstance(expected, Tensor)
         for made in (choice, choice.contiguous(memory_format=torch.channels_last)):
-            found = kernel.shade_several(models, made, given)
+            found = shading_kernel.shade_several(models, made, given)
             torch.testing.assert_close(found, expected, rtol=3e-6, atol=1e-6)
-        single = kernel.shade_several(models[:2], torch.full((1, 1, 1, 1), 0.25), given)
+        single = shading_kernel.shade_several(models[:2], torch.full((1, 1, 1, 1), 0.25), given)
         both = 0.25 * alone(models[0], given) + 0.75 * alone(models[1], given)
     torch.testing.assert_close(single, both, rtol=3e-6, atol=1e-6)
 

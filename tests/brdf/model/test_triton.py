@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 import raden_torch as rt
-from raden_torch.brdf.model import kernel, simd
+from raden_torch.brdf.model import kernel, shading_kernel, simd
 from raden_torch.brdf.shading.stress_geometries import regions, worst_errors
 from raden_torch.geometry import normalised
 
@@ -302,7 +302,7 @@ def as_operators(launch, device, monkeypatch) -> Iterator[list[str]]:
     library = torch.library.Library("raden_torch", "IMPL", "CPU")
     by_name = {
         "brdf": kernel._brdf_in_triton,
-        "shade": kernel._shade_in_triton,
+        "shade": shading_kernel._shade_in_triton,
         "brdf_backward": kernel._brdf_backward_in_triton,
     }
     with warnings.catch_warnings():

@@ -13,7 +13,7 @@ from torch import Tensor
 import raden_torch as rt
 from raden_torch.brdf.materials.metal import Foil
 from raden_torch.brdf.materials.palette import Palette
-from raden_torch.brdf.model import kernel, simd
+from raden_torch.brdf.model import shading_kernel, simd
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 
 SIZE = 29, 101
@@ -92,11 +92,11 @@ def test_error_is_at_most_twice_that_of_the_eager_form(model, level, lights, cam
 @NEEDS_KERNEL
 def test_the_fused_kernel_shades_them(model, monkeypatch: pytest.MonkeyPatch) -> None:
     layers = []
-    one: Callable[..., Tensor] = kernel.shade
-    several: Callable[..., Tensor] = kernel.shade_several
-    monkeypatch.setattr(kernel, "shade", lambda *a: (layers.append(a[-1]), one(*a))[1])
+    one: Callable[..., Tensor] = shading_kernel.shade
+    several: Callable[..., Tensor] = shading_kernel.shade_several
+    monkeypatch.setattr(shading_kernel, "shade", lambda *a: (layers.append(a[-1]), one(*a))[1])
     monkeypatch.setattr(
-        kernel, "shade_several", lambda *a: (layers.append(a[2][1]), several(*a))[1]
+        shading_kernel, "shade_several", lambda *a: (layers.append(a[2][1]), several(*a))[1]
     )
     with torch.no_grad():
         rt.shade(model, scene(), LIGHTS["all"])

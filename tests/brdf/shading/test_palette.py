@@ -12,7 +12,7 @@ import raden_torch as rt
 from raden_torch.brdf.materials.anisotropic import AnisotropicBrdf
 from raden_torch.brdf.materials.metal import Foil
 from raden_torch.brdf.materials.palette import Palette
-from raden_torch.brdf.model import kernel, simd
+from raden_torch.brdf.model import shading_kernel, simd
 from raden_torch.brdf.shading.area_lights import SphereLight
 from raden_torch.brdf.shading.environment import DistantLamps, EnvironmentLight
 from raden_torch.errors import InputError
@@ -112,8 +112,10 @@ def test_each_image_of_a_batch_has_its_own_lamps(shells, batch):
 @pytest.fixture
 def passes(monkeypatch: pytest.MonkeyPatch) -> list[list[Any]]:
     """The models of each pass over several tables."""
-    found, one = [], kernel.shade_several
-    monkeypatch.setattr(kernel, "shade_several", lambda *a: (found.append(a[0]), one(*a))[1])
+    found, one = [], shading_kernel.shade_several
+    monkeypatch.setattr(
+        shading_kernel, "shade_several", lambda *a: (found.append(a[0]), one(*a))[1]
+    )
     return found
 
 

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raden_torch as rt
-from raden_torch.brdf.model import kernel, simd
+from raden_torch.brdf.model import shading_kernel, simd
 from raden_torch.brdf.model.model import CosineDiffuse
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading import eager
@@ -68,13 +68,13 @@ def distant(count: int) -> list[rt.DirectionalLight]:
 def spheres(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The sides of the lit spheres that were read while the test ran."""
     read: list[int] = []
-    look_up = kernel.look_up
+    look_up = shading_kernel.look_up
 
     def spy(sphere, *others):
         read.append(len(sphere.radiance))
         return look_up(sphere, *others)
 
-    monkeypatch.setattr(kernel, "look_up", spy)
+    monkeypatch.setattr(shading_kernel, "look_up", spy)
     return read
 
 
