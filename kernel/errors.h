@@ -18,7 +18,7 @@ struct ErrorTile : ShadedTile<V> {
     static constexpr int own_at = 3, shared_at = 6;  // of a node's numbers
     using Pixels = float[tile_pixels][node_floats];
     const Errors& errors;
-    alignas(64) Pixels sums = {};     // over lights; of own errors over those where they are one
+    alignas(64) Pixels sums;          // over lights; of own errors over those where they are one
     alignas(64) Pixels squares;       // of own errors, over what else
     bool is_one = true;               // all lights' own errors are one, and need no squares
     alignas(64) float is_own[node_floats] = {};
@@ -29,7 +29,7 @@ struct ErrorTile : ShadedTile<V> {
 
     void shade() {
         float* const targets[3] = {scene.image, errors.own, errors.systematic};
-        if (this->count == 0) {
+        if (this->count == 0 || scene.light_count == 0) {
             for (float* to : targets) this->target = to, this->clear();
             return;
         }
@@ -43,32 +43,36 @@ struct ErrorTile : ShadedTile<V> {
                 reader.place_by(scene.table, g, lanes, at, strength);
                 reader.lit[g] = lanes;
             });
-            read(light);
+            k == 0 ? read<true>(light) : read<false>(light);
             if (errors.ends[k] && k + 1 < scene.light_count) end_together();
         }
         put_all();
     }
 
+    template <bool is_first>
     void read(const Light& light) {
         alignas(64) float radiated[node_floats];
         for (int c = 0; c < node_floats; ++c) radiated[c] = light.radiated[c % 3];
         const Cells& cells = this->cells;
         const long right = scene.table.row / 3 * node_floats, up = scene.table.slab / 3 * node_floats;
-        for (int g = 0; g < groups; ++g)
+        for (int g = 0; g < groups; ++g) {
+            if (is_first && count_of(reader.lit[g]) < V::lanes)
+                std::memset(sums[g * V::lanes], 0, sizeof(float) * V::lanes * node_floats);
             reader.each_lane(g, reader.lit[g], [&](int i) {
                 const float* p = errors.values + static_cast<long>(node_floats) * cells.first[i];
-                const float* const at[4] = {p, p + right, p + up, p + up + right};
-                for (int c = 0; c < node_floats; c += V::lanes) {
-                    V near = 0.0f, far = 0.0f;
-                    for (int k = 0; k < 4; ++k) {
-                        const V weight = cells.weight[k][i];
-                        near = fma(weight, V::load(at[k] + c), near);
-                        far = fma(weight, V::load(at[k] + node_floats + c), far);
-                    }
-                    const V value = fma(far, cells.far[i], near * V(cells.near[i]));
-                    fma(value, V::load(radiated + c), V::load(sums[i] + c)).store(sums[i] + c);
+                const V weight[4] = {cells.weight[0][i], cells.weight[1][i], cells.weight[2][i], cells.weight[3][i]};
+                const V nearer = cells.near[i], further = cells.far[i];
+                for (int c = 0; c < node_floats; c += V::lanes, p += V::lanes) {
+                    const auto across = [&](const float* at) {
+                        const V low = fma(weight[1], V::load(at + right), weight[0] * V::load(at));
+                        return fma(weight[3], V::load(at + up + right), fma(weight[2], V::load(at + up), low));
+                    };
+                    const V value = fma(further, across(p + node_floats), nearer * across(p));
+                    const V shown = value * V::load(radiated + c);
+                    (is_first ? shown : shown + V::load(sums[i] + c)).store(sums[i] + c);
                 }
             });
+        }
     }
 
     void end_together() {
@@ -80,54 +84,44 @@ struct ErrorTile : ShadedTile<V> {
             }
     }
 
-    // Four numbers of each pixel, of which `planes` takes three.
-    template <class Take>
-    void gather(int g, const Take& take, V out[3]) {
-        alignas(64) float rgb[4 * V::lanes];
-        for (int i = 0; i < V::lanes; ++i)
-            for (int c = 0; c < 4; ++c) rgb[4 * i + c] = take(g * V::lanes + i, c);
-        planes(rgb, out[0], out[1], out[2]);
+    // Three numbers of each pixel, from the one at `c`, in planes.
+    static void gather(const Pixels& from, int g, int c, V out[3]) {
+        planes(from[g * V::lanes] + c, node_floats, out[0], out[1], out[2]);
     }
 
     void put_all() {
-        V out[3];
-        alignas(64) float images[3][3][tile_pixels];
-        for (int g = 0; g < groups; ++g) {
-            const auto keep = [&](int k) {
-                for (int c = 0; c < 3; ++c) out[c].store(images[k][c] + g * V::lanes);
-            };
-            gather(g, [&](int i, int c) { return sums[i][own_at + c]; }, out);
-            if (is_one) {
-                for (V& each : out) each = magnitude(each);
-            } else {
-                V others[3];
-                gather(g, [&](int i, int c) { return squares[i][own_at + c]; }, others);
-                for (int c = 0; c < 3; ++c) out[c] = root(fma(out[c], out[c], others[c]));
-            }
-            keep(1);
-            gather(g, [&](int i, int c) {
-                const float* s = sums[i] + shared_at + c;
-                return s[0] * s[0] + s[3] * s[3] + s[6] * s[6];
-            }, out);
-            V value[3];
-            gather(g, [&](int i, int c) { return sums[i][c]; }, value);
+        put_each(scene.image, [&](int g, V out[3]) { gather(sums, g, 0, out); });
+        put_each(errors.own, [&](int g, V out[3]) {
+            gather(sums, g, own_at, out);
+            V others[3] = {0.0f, 0.0f, 0.0f};
+            if (!is_one) gather(squares, g, own_at, others);
+            for (int c = 0; c < 3; ++c)
+                out[c] = is_one ? magnitude(out[c]) : root(fma(out[c], out[c], others[c]));
+        });
+        put_each(errors.systematic, [&](int g, V out[3]) {
+            gather(sums, g, 0, out);
             for (int c = 0; c < 3; ++c) {
-                const V scaled = value[c] * errors.scale;
-                out[c] = root(fma(scaled, scaled, out[c]));
+                const V scaled = out[c] * errors.scale;
+                out[c] = scaled * scaled;
             }
-            keep(2);
-            for (int c = 0; c < 3; ++c) out[c] = value[c];
-            keep(0);
-        }
-        float* const targets[3] = {scene.image, errors.own, errors.systematic};
-        for (int k = 0; k < 3; ++k) {
-            this->target = targets[k];
-            for (int g = 0; g < groups; ++g) {
-                for (int c = 0; c < 3; ++c) out[c] = V::load(images[k][c] + g * V::lanes);
-                this->put_masked(g, out);
+            for (int k = 0; k < 3; ++k) {
+                V shared[3];
+                gather(sums, g, shared_at + 3 * k, shared);
+                for (int c = 0; c < 3; ++c) out[c] = fma(shared[c], shared[c], out[c]);
             }
-            this->spread();
+            for (int c = 0; c < 3; ++c) out[c] = root(out[c]);
+        });
+    }
+
+    template <class Of>
+    void put_each(float* target, const Of& of) {
+        this->target = target;
+        for (int g = 0; g < groups; ++g) {
+            V out[3];
+            of(g, out);
+            this->put_masked(g, out);
         }
+        this->spread();
     }
 };
 

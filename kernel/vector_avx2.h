@@ -49,11 +49,11 @@ inline Avx2 greatest(Avx2 a, Avx2 b) { return _mm256_max_ps(a.x, b.x); }  // b w
 inline Avx2 floor_of(Avx2 a) { return _mm256_floor_ps(a.x); }
 inline Avx2 select(Avx2::Mask m, Avx2 a, Avx2 b) { return _mm256_blendv_ps(b.x, a.x, m.x); }
 
-// 8 pixels of (r, g, b, ·) → three planes.
-inline void planes(const float* rgb, Avx2& r, Avx2& g, Avx2& b) {
-    const auto pair = [rgb](int i) {  // pixels i and i + 4
-        return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_load_ps(rgb + 4 * i)),
-                                    _mm_load_ps(rgb + 4 * i + 16), 1);
+// 8 pixels of (r, g, b, ·), each `step` numbers after the one before → three planes.
+inline void planes(const float* rgb, long step, Avx2& r, Avx2& g, Avx2& b) {
+    const auto pair = [=](long i) {  // pixels i and i + 4
+        return _mm256_insertf128_ps(_mm256_castps128_ps256(_mm_loadu_ps(rgb + step * i)),
+                                    _mm_loadu_ps(rgb + step * (i + 4)), 1);
     };
     const __m256 p0 = pair(0), p1 = pair(1), p2 = pair(2), p3 = pair(3);
     const __m256 low01 = _mm256_unpacklo_ps(p0, p1), low23 = _mm256_unpacklo_ps(p2, p3);
@@ -62,6 +62,8 @@ inline void planes(const float* rgb, Avx2& r, Avx2& g, Avx2& b) {
     g = _mm256_shuffle_ps(low01, low23, 0xee);
     b = _mm256_shuffle_ps(high01, high23, 0x44);
 }
+
+inline void planes(const float* rgb, Avx2& r, Avx2& g, Avx2& b) { planes(rgb, 4, r, g, b); }
 
 inline void fetch(const Avx2&, const Cells& cells, int i, const Table& table, float* rgb) {
     fetch_avx2(cells, i, table, rgb);

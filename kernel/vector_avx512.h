@@ -41,10 +41,8 @@ inline Avx512 greatest(Avx512 a, Avx512 b) { return _mm512_max_ps(a.x, b.x); }  
 inline Avx512 floor_of(Avx512 a) { return _mm512_roundscale_ps(a.x, _MM_FROUND_TO_NEG_INF); }
 inline Avx512 select(__mmask16 m, Avx512 a, Avx512 b) { return _mm512_mask_blend_ps(m, b.x, a.x); }
 
-// 16 pixels of (r, g, b, ·) → three planes.
-inline void planes(const float* rgb, Avx512& r, Avx512& g, Avx512& b) {
-    const __m512 p0 = _mm512_loadu_ps(rgb), p1 = _mm512_loadu_ps(rgb + 16);
-    const __m512 p2 = _mm512_loadu_ps(rgb + 32), p3 = _mm512_loadu_ps(rgb + 48);
+// Four pixels of (r, g, b, ·) in each register → three planes.
+inline void planes(__m512 p0, __m512 p1, __m512 p2, __m512 p3, Avx512& r, Avx512& g, Avx512& b) {
     const __m512i red_green =
         _mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 1, 5, 9, 13, 17, 21, 25, 29);
     const __m512i blue = _mm512_setr_epi32(2, 6, 10, 14, 18, 22, 26, 30, 0, 0, 0, 0, 0, 0, 0, 0);
@@ -54,6 +52,24 @@ inline void planes(const float* rgb, Avx512& r, Avx512& g, Avx512& b) {
     g = _mm512_shuffle_f32x4(low, high, 0xee);
     b = _mm512_shuffle_f32x4(_mm512_permutex2var_ps(p0, blue, p1),
                              _mm512_permutex2var_ps(p2, blue, p3), 0x44);
+}
+
+// 16 pixels of (r, g, b, ·), one after another.
+inline void planes(const float* rgb, Avx512& r, Avx512& g, Avx512& b) {
+    planes(_mm512_loadu_ps(rgb), _mm512_loadu_ps(rgb + 16), _mm512_loadu_ps(rgb + 32),
+           _mm512_loadu_ps(rgb + 48), r, g, b);
+}
+
+// The same, each `step` numbers after the one before.
+inline void planes(const float* rgb, long step, Avx512& r, Avx512& g, Avx512& b) {
+    const auto four = [&](long i) {
+        const float* p = rgb + i * step;
+        __m512 x = _mm512_castps128_ps512(_mm_loadu_ps(p));
+        x = _mm512_insertf32x4(x, _mm_loadu_ps(p + step), 1);
+        x = _mm512_insertf32x4(x, _mm_loadu_ps(p + 2 * step), 2);
+        return _mm512_insertf32x4(x, _mm_loadu_ps(p + 3 * step), 3);
+    };
+    planes(four(0), four(4), four(8), four(12), r, g, b);
 }
 
 inline void fetch(const Avx512&, const Cells& cells, int i, const Table& table, float* rgb) {

@@ -73,12 +73,14 @@ inline Portable greatest(P a, P b) { return lanewise([&](int i) { return a.x[i] 
 inline Portable floor_of(P a) { return lanewise([&](int i) { return std::floor(a.x[i]); }); }
 inline Portable select(PM m, P a, P b) { return lanewise([&](int i) { return m.x[i] ? a.x[i] : b.x[i]; }); }
 
-// 8 pixels of (r, g, b, ·) → three planes.
-inline void planes(const float* rgb, Portable& r, Portable& g, Portable& b) {
-    r = lanewise([&](int i) { return rgb[4 * i]; });
-    g = lanewise([&](int i) { return rgb[4 * i + 1]; });
-    b = lanewise([&](int i) { return rgb[4 * i + 2]; });
+// 8 pixels of (r, g, b, ·), each `step` numbers after the one before → three planes.
+inline void planes(const float* rgb, long step, Portable& r, Portable& g, Portable& b) {
+    r = lanewise([&](int i) { return rgb[step * i]; });
+    g = lanewise([&](int i) { return rgb[step * i + 1]; });
+    b = lanewise([&](int i) { return rgb[step * i + 2]; });
 }
+
+inline void planes(const float* rgb, Portable& r, Portable& g, Portable& b) { planes(rgb, 4, r, g, b); }
 
 inline void fetch(P, const Cells& cells, int i, const Table& table, float* rgb) {
     const float* p = table.values + 3L * cells.first[i];

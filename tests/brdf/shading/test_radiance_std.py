@@ -174,6 +174,13 @@ def test_a_frame_that_is_not_whole_tiles(model) -> None:
         torch.testing.assert_close(mine[0, :, 20, 10], theirs[0, :, 0, 0], rtol=1e-5, atol=1e-7)
 
 
+def test_without_lights_it_is_dark(model) -> None:
+    image, std = rt.shade(model, sphere(70, samples=1), [], return_std=True)
+    for each in (image, std.own, std.systematic):
+        assert each.shape == (1, 3, 70, 70)
+        assert not each.any()
+
+
 def test_gradients_reach_the_image_and_not_the_std(model) -> None:
     normal = torch.tensor([0.1, 0.2, 1.0]).view(1, 3, 1, 1).requires_grad_()
     image, std = rt.shade(model, rt.GBuffer(normal, view=(0, 0, 1)), LAMP, return_std=True)
