@@ -47,7 +47,7 @@ raden::Index as_index(const std::optional<IndexOf>& m) {
     return {{batch, 0, row, column}, reinterpret_cast<const void*>(address), bytes == 8};
 }
 
-raden::DifferentiateTiles gradient_of(const std::string& level) {
+raden::DifferentiateTiles gradient_of([[maybe_unused]] const std::string& level) {
 #ifdef RADEN_X86
     if (level == "avx512") return raden::differentiate_tiles_avx512;
     if (level == "avx2") return raden::differentiate_tiles_avx2;
@@ -55,7 +55,7 @@ raden::DifferentiateTiles gradient_of(const std::string& level) {
     return raden::differentiate_tiles_portable;
 }
 
-raden::ShadeTiles tiles_of(const std::string& level) {
+raden::ShadeTiles tiles_of([[maybe_unused]] const std::string& level) {
 #ifdef RADEN_X86
     if (level == "avx512") return raden::shade_tiles_avx512;
     if (level == "avx2") return raden::shade_tiles_avx2;

@@ -35,7 +35,7 @@ def shaded() -> torch.Tensor:
 
 def main() -> None:
     wants_kernel = "without-kernel" not in sys.argv
-    if (kernel._kernel is not None) != wants_kernel:
+    if (kernel.extension is not None) != wants_kernel:
         sys.exit(
             f"expected {'a' if wants_kernel else 'no'} kernel in the package, got the opposite"
         )

@@ -16,6 +16,8 @@ def light_a_frame(path: str, normal: torch.Tensor) -> torch.Tensor:
     frame = rt.GBuffer(normal, view=(0.0, 0.0, 1.0))
     lamp, bulb = rt.DirectionalLight((1.0, 1.0, 2.0)), rt.PointLight((0.0, 0.0, 3.0))
     image: torch.Tensor = rt.shade(model, frame, [lamp, bulb])
+    lit, std = rt.shade(model, frame, lamp, return_std=True)
+    image = image + lit + std.total
     incidence, receiving, tilt = rt.raden_angles(normal, normal, normal)
     rt.save_model(model, "shell.safetensors")
     return image * float(readings) + incidence + receiving + tilt
@@ -24,5 +26,5 @@ def light_a_frame(path: str, normal: torch.Tensor) -> torch.Tensor:
 def mistaken(model: rt.RadenBrdf) -> None:
     """Rationale: if types were not seen, these would pass; `--strict` reports unused ignores."""
     rt.fit("shell.csv")  # type: ignore[arg-type]
-    rt.shade(model, model, [])  # type: ignore[arg-type]
+    rt.shade(model, model, [])  # type: ignore[call-overload]
     rt.load_measurement(3)  # type: ignore[arg-type]
