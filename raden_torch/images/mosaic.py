@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.images.pixels import oriented
+
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """The colour of the pixels (0, 0), (0, 1), (1, 0), (1, 1): row by row from the upper left."""
 
@@ -16,6 +18,17 @@ def colour_masks(pattern: str, height: int, width: int) -> dict[str, NDArray[np.
     phase = 2 * (np.arange(height)[:, None] % 2) + np.arange(width)[None] % 2
     cells = np.array(list(pattern))[phase]
     return {colour: cells == colour for colour in "RGB"}
+
+
+def turned_cells(cells: NDArray[Any], orientation: int, size: tuple[int, int]) -> NDArray[Any]:
+    """`[2, 2]` at the upper left of a mosaic that is turned as EXIF's orientation says.
+
+    Args:
+        cells: `[2, 2]`, what repeats in the mosaic as it is stored.
+        size: its height and width as it is stored.
+    """
+    rows, columns = np.ogrid[: 2 + size[0] % 2, : 2 + size[1] % 2]
+    return oriented(cells[rows % 2, columns % 2], orientation)[:2, :2]
 
 
 def demosaiced(mosaic: NDArray[Any], pattern: str) -> NDArray[np.float32]:

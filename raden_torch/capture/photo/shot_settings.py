@@ -1,0 +1,143 @@
+"""How the camera was set, by EXIF: what must be alike in photographs that belong together."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from raden_torch.errors import InputError
+
+_ALIKE = {
+    "camera": "camera",
+    "serial": "serial number of the camera",
+    "lens": "lens",
+    "focal_length_mm": "focal length in mm",
+    "white_balance": "white balance",
+}
+_EXPOSES = {"exposure_s": 1.0, "iso": 1.0, "f_number": -2.0}
+_EXPOSURE_WORDS = {"exposure_s": "exposure time", "iso": "ISO", "f_number": "aperture"}
+_NEAR = 0.01
+_WHITE_BALANCES = {0: "automatic", 1: "manual"}
+
+
+@dataclass(frozen=True)
+class ShotSettings:
+    """What EXIF says of one photograph; None where it says nothing.
+
+    Attributes:
+        exposure_s: seconds.
+        iso, f_number, focal_length_mm: as the camera rounds them.
+        camera: maker and model.
+        serial, lens: of the body; its model.
+        white_balance: "automatic" or "manual"; raw files have none, which are balanced later.
+    """
+
+    exposure_s: float | None = None
+    iso: float | None = None
+    f_number: float | None = None
+    focal_length_mm: float | None = None
+    camera: str | None = None
+    serial: str | None = None
+    lens: str | None = None
+    white_balance: str | None = None
+
+
+UNKNOWN = ShotSettings()
+
+
+def settings_of(tags: Mapping[int, Any], *, is_raw: bool = False) -> ShotSettings:
+    """Of TIFF's and EXIF's tags; maker notes are not looked at."""
+    maker, model = _text(tags.get(271)), _text(tags.get(272))
+    balance = tags.get(41987)
+    return ShotSettings(
+        positive(tags.get(33434)),
+        positive(tags.get(34855)),
+        positive(tags.get(33437)),
+        positive(tags.get(37386)),
+        " ".join(word for word in (maker, model) if word) or None,
+        _text(tags.get(42033)),
+        _text(tags.get(42036)),
+        _WHITE_BALANCES.get(balance) if isinstance(balance, int) and not is_raw else None,
+    )
+
+
+def check_alike(shots: Sequence[tuple[Path, ShotSettings]]) -> None:
+    """Raise InputError, naming two files, where camera, lens, zoom or white balance differ.
+
+    What EXIF does not say of one of them is not compared.
+    """
+    known: dict[str, tuple[Path, Any]] = {}
+    for path, shot in shots:
+        for field in fields(shot):
+            value = getattr(shot, field.name)
+            if field.name not in _ALIKE or value is None:
+                continue
+            first, wanted = known.setdefault(field.name, (path, value))
+            if not _same(value, wanted):
+                raise InputError(
+                    f"{path}: {_ALIKE[field.name]}: expected {_said(wanted)} as in {first}, got "
+                    f"{_said(value)}; photographs that belong together are of one camera, lens "
+                    "and zoom, with one setting"
+                )
+
+
+def relative_exposures(shots: Sequence[tuple[Path, ShotSettings]]) -> list[float] | None:
+    """How much brighter each photograph is than the first, by t · ISO / f-number²; None where none
+    is. What EXIF does not say of all of them is taken for alike.
+
+    Warns:
+        UserWarning: some are, and how sure their exposure is.
+    """
+    found = [1.0] * len(shots)
+    for name, power in _EXPOSES.items():
+        values = [getattr(shot, name) for _, shot in shots]
+        if None not in values:
+            found = [f * (v / values[0]) ** power for f, v in zip(found, values, strict=True)]
+    k = max(range(len(found)), key=lambda k: abs(math.log(found[k])))
+    changed = [
+        said
+        for name, said in _EXPOSURE_WORDS.items()
+        if any(not _same(getattr(s, name), getattr(shots[0][1], name)) for _, s in shots)
+    ]
+    if not changed:
+        return None
+    warnings.warn(
+        f"{shots[k][0]}: {', '.join(changed)} differ from {shots[0][0]}: it is taken for "
+        f"{found[k]:.3g} times as exposed (ISO and apertures are rounded: some per cent)",
+        stacklevel=3,
+    )
+    return found
+
+
+def positive(value: Any) -> float | None:
+    """A number of a tag above 0, else None."""
+    try:
+        number = float(value[0] if isinstance(value, (tuple, list)) else value)
+    except (TypeError, ValueError, ZeroDivisionError, IndexError):
+        return None
+    return number if 0 < number < float("inf") else None
+
+
+def _same(value: Any, wanted: Any) -> bool:
+    if value is None or wanted is None:
+        return True
+    if isinstance(value, float):
+        return abs(value / wanted - 1) <= _NEAR
+    return bool(value == wanted)
+
+
+def _said(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _text(value: Any) -> str | None:
+    if isinstance(value, bytes):
+        value = value.decode("latin-1")
+    if not isinstance(value, str):
+        return None
+    printable = "".join(c for c in value.partition("\0")[0] if c.isprintable())
+    return " ".join(printable.split()) or None
