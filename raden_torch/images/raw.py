@@ -118,8 +118,12 @@ def is_raw(path: str | os.PathLike[str], start: bytes | None = None) -> bool:
                 start = file.read(65536)
         except OSError:
             return False
-    if Path(path).suffix.lower() in _SUFFIXES:
-        return True
+    return Path(path).suffix.lower() in _SUFFIXES or begins_as_raw(start)
+
+
+def begins_as_raw(start: bytes) -> bool:
+    """Whether first bytes are a raw file's; NEF, ARW and others begin as a TIFF, and are told by
+    their names."""
     return start.startswith(_STARTS) or start[4:12] == _CR3 or has_dng_version(start)
 
 

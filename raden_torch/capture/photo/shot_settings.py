@@ -51,18 +51,35 @@ UNKNOWN = ShotSettings()
 
 def settings_of(tags: Mapping[int, Any], *, is_raw: bool = False) -> ShotSettings:
     """Of TIFF's and EXIF's tags; maker notes are not looked at."""
-    maker, model = _text(tags.get(271)), _text(tags.get(272))
+    maker, model = _text(tags.get(271)) or "", _text(tags.get(272)) or ""
+    camera = model if model.startswith(maker) else f"{maker} {model}".strip()
     balance = tags.get(41987)
     return ShotSettings(
         positive(tags.get(33434)),
         positive(tags.get(34855)),
         positive(tags.get(33437)),
         positive(tags.get(37386)),
-        " ".join(word for word in (maker, model) if word) or None,
+        camera or None,
         _text(tags.get(42033)),
         _text(tags.get(42036)),
         _WHITE_BALANCES.get(balance) if isinstance(balance, int) and not is_raw else None,
     )
+
+
+def settings_in_words(shot: ShotSettings) -> list[str]:
+    """A line of the camera and one of the exposure, as far as they are known."""
+    camera: list[Any] = [shot.camera, shot.serial and f"number {shot.serial}", shot.lens]
+    seconds = shot.exposure_s
+    exposure: list[Any] = [
+        seconds and (f"1/{1 / seconds:.4g} s" if seconds < 0.3 else f"{seconds:.3g} s"),
+        shot.f_number and f"f/{shot.f_number:.3g}",
+        shot.iso and f"ISO {shot.iso:g}",
+        shot.focal_length_mm and f"{shot.focal_length_mm:.3g} mm",
+        shot.white_balance and f"white balance {shot.white_balance}",
+    ]
+    lines = {"camera": camera, "exposure": exposure}
+    said = {name: ", ".join(str(w) for w in words if w) for name, words in lines.items()}
+    return [f"{name}: {text}" for name, text in said.items() if text]
 
 
 def check_alike(shots: Sequence[tuple[Path, ShotSettings]]) -> None:
