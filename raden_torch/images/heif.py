@@ -46,7 +46,10 @@ def read_heic(path: str | os.PathLike[str]) -> tuple[Header, NDArray[Any]]:
             check_size(path, *image.size)
             header = _header(image)
             values = np.array(image)
-    except (OSError, ValueError, RuntimeError, EOFError, SyntaxError, MemoryError) as error:
+    except (
+        *(OSError, ValueError, RuntimeError, EOFError, SyntaxError, MemoryError),
+        *(IndexError, KeyError, TypeError),
+    ) as error:
         if isinstance(error, InputError):
             raise
         reason = " ".join(str(error).split())

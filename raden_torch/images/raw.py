@@ -146,7 +146,10 @@ def read_raw(path: str | os.PathLike[str]) -> RawImage:
         values, window = _values(path, raw, tags)
         cells, pattern = _cells(path, raw, window)
         levels = np.array(raw.black_level_per_channel, np.float64)
-        black = levels[cells] if pattern else levels[: 3 if values.ndim == 3 else 1]
+        black = levels[: 3 if values.ndim == 3 else 1]
+        if pattern is not None:
+            own = tags.black(*window)
+            black = levels[cells] if own is None else own
         white = float(min((raw.white_level, *_positive(raw.camera_white_level_per_channel))))
         colour = _colour(raw, tags)
         turned = _ORIENTATIONS.get(raw.sizes.flip, 1)

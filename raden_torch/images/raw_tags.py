@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
 
 _DNG_VERSION = 50706
@@ -87,6 +88,22 @@ class RawTags:
                 f"{path}: expected values that are linear light, got a DNG that asks for "
                 f"{', '.join(dict.fromkeys(asked))} first; convert it to a linear DNG"
             )
+
+    def black(self, top: int, left: int) -> Floats | None:
+        """`[2, 2]` black levels of a DNG's mosaic at and behind a pixel; None where it says none.
+
+        LibRaw's are whole numbers, and one column or row off where the active area has odd margins.
+        """
+        try:
+            rows, columns = (int(n) for n in np.ravel(self.raw.get(50713, (1, 1))))
+            levels = np.array([float(v) for v in np.ravel(self.raw[50714])]).reshape(rows, columns)
+            first_row, first_column = (int(n) for n in np.ravel(self.raw.get(50829, (0, 0)))[:2])
+        except (KeyError, TypeError, ValueError, ZeroDivisionError):
+            return None
+        down = (np.arange(2) + top - first_row) % rows
+        right = (np.arange(2) + left - first_column) % columns
+        found = levels[down[:, None], right]
+        return found if np.isfinite(found).all() else None
 
     def _asked(self, lists: tuple[int, ...]) -> list[int]:
         """The opcodes that LibRaw leaves out: it follows the polynomials of lossy DNGs."""
