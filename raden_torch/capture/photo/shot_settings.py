@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -18,8 +17,12 @@ _ALIKE = {
     "focal_length_mm": "focal length in mm",
     "white_balance": "white balance",
 }
-_EXPOSES = {"exposure_s": 1.0, "iso": 1.0, "f_number": -2.0}
-_EXPOSURE_WORDS = {"exposure_s": "exposure time", "iso": "ISO", "f_number": "aperture"}
+_EXPOSES = {
+    "exposure_s": (1.0, "exposure time"),
+    "iso": (1.0, "ISO"),
+    "f_number": (-2.0, "aperture"),
+}
+"""The power by which each makes a photograph brighter, and its name."""
 _NEAR = 0.01
 _WHITE_BALANCES = {0: "automatic", 1: "manual"}
 
@@ -103,25 +106,31 @@ def check_alike(shots: Sequence[tuple[Path, ShotSettings]]) -> None:
 
 
 def relative_exposures(shots: Sequence[tuple[Path, ShotSettings]]) -> list[float] | None:
-    """How much brighter each photograph is than the first, by t · ISO / f-number²; None where none
-    is. What EXIF does not say of all of them is taken for alike.
+    """How much brighter each photograph is than the first, by t · ISO / f-number²; None where all
+    were exposed alike, as far as EXIF says.
+
+    Raises:
+        InputError: one of these differs, and one photograph does not say its own.
 
     Warns:
-        UserWarning: some are, and how sure their exposure is.
+        UserWarning: some were exposed otherwise, and how sure that is.
     """
-    found = [1.0] * len(shots)
-    for name, power in _EXPOSES.items():
+    found, changed = [1.0] * len(shots), dict[str, int]()
+    for name, (power, word) in _EXPOSES.items():
         values = [getattr(shot, name) for _, shot in shots]
-        if None not in values:
-            found = [f * (v / values[0]) ** power for f, v in zip(found, values, strict=True)]
-    k = max(range(len(found)), key=lambda k: abs(math.log(found[k])))
-    changed = [
-        said
-        for name, said in _EXPOSURE_WORDS.items()
-        if any(not _same(getattr(s, name), getattr(shots[0][1], name)) for _, s in shots)
-    ]
+        there = [value for value in values if value is not None]
+        if all(_same(value, there[0]) for value in there):
+            continue
+        if len(there) < len(values):
+            raise InputError(
+                f"{shots[values.index(None)][0]}: expected its {word} in its EXIF, since it "
+                "differs between the others, got none"
+            )
+        changed[word] = next(k for k, v in enumerate(values) if not _same(v, values[0]))
+        found = [f * (v / values[0]) ** power for f, v in zip(found, values, strict=True)]
     if not changed:
         return None
+    k = min(changed.values())
     warnings.warn(
         f"{shots[k][0]}: {', '.join(changed)} differ from {shots[0][0]}: it is taken for "
         f"{found[k]:.3g} times as exposed (ISO and apertures are rounded: some per cent)",
@@ -140,8 +149,6 @@ def positive(value: Any) -> float | None:
 
 
 def _same(value: Any, wanted: Any) -> bool:
-    if value is None or wanted is None:
-        return True
     if isinstance(value, float):
         return abs(value / wanted - 1) <= _NEAR
     return bool(value == wanted)
