@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.images.pixels import oriented
+from raden_torch.packages import require
 
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """The colour of the pixels (0, 0), (0, 1), (1, 0), (1, 1): row by row from the upper left."""
@@ -37,6 +38,7 @@ def demosaiced(mosaic: NDArray[Any], pattern: str) -> NDArray[np.float32]:
     Linear in the values, unlike edge-directed methods: dark frames, flat fields and exposures may
     be combined before or after. Written as a normalised convolution, so that borders need no rule.
     """
+    require("mosaics", "images")
     import cv2
 
     tent = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4

@@ -139,7 +139,6 @@ def read_raw(path: str | os.PathLike[str]) -> RawImage:
         check_seekable(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; expected a camera raw file") from None
-    require("camera raw files", "raw")
     tags = read_raw_tags(path)
     tags.check(path)
     with _opened(path) as raw:
@@ -192,6 +191,7 @@ def raw_in_colour(image: RawImage, path: str | os.PathLike[str]) -> Floats32:
 @contextmanager
 def _opened(path: str | os.PathLike[str]) -> Iterator[Any]:
     """LibRaw's file, unpacked."""
+    require("camera raw files", "raw")
     import rawpy
 
     with quiet_stderr(), readable_name(path) as name, rawpy.RawPy() as raw:

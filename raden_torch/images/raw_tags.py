@@ -13,6 +13,7 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.errors import InputError
+from raden_torch.packages import require
 
 _DNG_VERSION = 50706
 _MOSAICS = (32803, 34892)
@@ -122,6 +123,7 @@ def read_raw_tags(path: str | os.PathLike[str]) -> RawTags:
 
     A damaged file has those that could be read: LibRaw decides what it is.
     """
+    require("camera raw files", "raw")
     from PIL.TiffImagePlugin import ImageFileDirectory_v2
 
     found: list[dict[int, Any]] = []

@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from raden_torch.capture.photo.shot_settings import settings_in_words, settings_of
 from raden_torch.errors import InputError
 from raden_torch.images.heif import NAME as HEIC
 from raden_torch.images.heif import said_of_heic
 from raden_torch.images.other_formats import other_format
 from raden_torch.images.raw import begins_as_raw, is_raw
+from raden_torch.images.shot_settings import settings_in_words, settings_of
 from raden_torch.packages import require
 
 if TYPE_CHECKING:
@@ -106,9 +106,9 @@ def describe_image(path: Path) -> str:
 
     if is_raw(path):
         return _describe_raw(path)
-    said = _said(path)
-    width, height = said.pop("size", (0, 0))
     other = other_format(path)
+    said = {} if other == HEIC else _said(path)  # which Pillow does not know
+    width, height = said.pop("size", (0, 0))
     mode, form = said.pop("mode", ""), other or said.pop("format", "Radiance HDR")
     said.pop("format", None)
     more: list[str] = []

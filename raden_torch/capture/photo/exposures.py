@@ -13,8 +13,8 @@ from raden_torch.capture.photo.exposure_weights import Noise, exposure_weight, w
 from raden_torch.capture.photo.linearity import Linearity, linearity_of
 from raden_torch.capture.photo.noise_fit import fit_noise
 from raden_torch.capture.photo.photograph import Photograph, check_same_size
-from raden_torch.capture.photo.shot_settings import check_alike
 from raden_torch.errors import InputError
+from raden_torch.images.shot_settings import check_alike
 
 CEILING = 0.9
 """Share of the white level above which a value counts as saturated too: sensors bend there."""

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.capture.photo.photograph import Photograph, check_same_size, read_linear
-from raden_torch.capture.photo.shot_settings import (
+from raden_torch.capture.photo.stored_photograph import Coding
+from raden_torch.errors import InputError
+from raden_torch.images.mask import read_mask_pixels
+from raden_torch.images.shot_settings import (
     ShotSettings,
     check_alike,
     relative_exposures,
 )
-from raden_torch.capture.photo.stored_photograph import Coding
-from raden_torch.errors import InputError
-from raden_torch.images.mask import read_mask_pixels
 
 MAX_VALUES = 2**31
 """The most values of a set that are read: 8 GiB."""

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats32
-from raden_torch.capture.photo.shot_settings import UNKNOWN, ShotSettings
 from raden_torch.capture.photo.stored_photograph import (
     Coding,
     bayer_pattern,
@@ -25,6 +24,7 @@ from raden_torch.images.colour_space import SRGB_SPACE, in_srgb
 from raden_torch.images.mosaic import demosaiced
 from raden_torch.images.pixels import read_image
 from raden_torch.images.raw import RawColour, is_raw
+from raden_torch.images.shot_settings import UNKNOWN, ShotSettings
 
 
 @dataclass(frozen=True, eq=False)

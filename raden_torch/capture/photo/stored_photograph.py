@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats32
-from raden_torch.capture.photo.shot_settings import UNKNOWN, ShotSettings, positive, settings_of
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import (
     ColourSpace,
@@ -29,6 +28,7 @@ from raden_torch.images.mosaic import (
 )
 from raden_torch.images.pixels import StoredImage, read_image
 from raden_torch.images.raw import RawImage, is_raw, read_raw
+from raden_torch.images.shot_settings import UNKNOWN, ShotSettings, positive, settings_of
 
 Coding = Literal["auto", "srgb", "linear"] | NDArray[np.floating[Any]]
 

@@ -95,10 +95,11 @@ def _decoded(
 
 
 def _by_tables(space: LookupProfile, values: NDArray[Any], top: float) -> tuple[Floats32, Floats32]:
-    """`[H, W, 3]` linear, and its rounding: what half a level more and less in all three makes."""
-    stored = values.astype(np.float32)
-    slope = space.linear(stored + 0.5, top) - space.linear(stored - 0.5, top)
-    return space.linear(stored, top), np.abs(slope) / np.float32(np.sqrt(12))
+    """`[H, W, 3]` linear, and its rounding by the slope along grey, over a hundredth of the range:
+    the tables' own steps are as small as those of 16 bits."""
+    stored, step = values.astype(np.float32), np.float32(top / 100)
+    slope = space.linear(stored + step / 2, top) - space.linear(stored - step / 2, top)
+    return space.linear(stored, top), np.abs(slope) / (step * np.float32(np.sqrt(12)))
 
 
 def _table(

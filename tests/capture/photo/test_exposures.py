@@ -14,8 +14,8 @@ from raden_torch.capture.photo.dark_and_flat import flat_field, flatten, subtrac
 from raden_torch.capture.photo.exposure_weights import Noise
 from raden_torch.capture.photo.exposures import merge_exposures
 from raden_torch.capture.photo.photograph import Photograph, read_linear
-from raden_torch.capture.photo.shot_settings import ShotSettings
 from raden_torch.errors import InputError
+from raden_torch.images.shot_settings import ShotSettings
 
 TIMES = (0.01, 0.04, 0.16, 0.64)
 

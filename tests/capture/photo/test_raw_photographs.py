@@ -16,9 +16,9 @@ import raden_torch as rt
 from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.development import developed
 from raden_torch.capture.photo.photograph import read_linear, read_stored
-from raden_torch.capture.photo.shot_settings import ShotSettings
 from raden_torch.errors import InputError
 from raden_torch.images.mosaic import colour_masks
+from raden_torch.images.shot_settings import ShotSettings
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 H, W = 24, 32

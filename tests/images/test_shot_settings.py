@@ -10,14 +10,14 @@ import pytest
 from PIL import Image
 
 from raden_torch.capture.photo.photo_set import read_set
-from raden_torch.capture.photo.shot_settings import (
+from raden_torch.errors import InputError
+from raden_torch.images.shot_settings import (
     ShotSettings,
     check_alike,
     relative_exposures,
     settings_in_words,
     settings_of,
 )
-from raden_torch.errors import InputError
 
 USUAL = {33434: 0.01, 33437: 4.0, 34855: 100, 37386: 50.0, 42036: "50mm", 42033: "77", 41987: 1}
 
