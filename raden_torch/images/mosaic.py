@@ -36,23 +36,26 @@ def demosaiced(mosaic: NDArray[Any], pattern: str) -> NDArray[np.float32]:
     """`[H, W]` → `[H, W, 3]` by bilinear interpolation of each colour's own pixels.
 
     Linear in the values, unlike edge-directed methods: dark frames, flat fields and exposures may
-    be combined before or after. Written as a normalised convolution, so that borders need no rule.
+    be combined before or after. Mirrored at its borders, a mosaic goes on in its own pattern.
     """
     require("mosaics", "images")
     import cv2
 
-    tent = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
+    tent = np.array([0.5, 1, 0.5], np.float32)
     cross = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4  # green lies on diagonals
-    planes = []
-    for colour, mask in colour_masks(pattern, *mosaic.shape).items():
-        there = mask.astype(np.float32)
-        kernel = cross if colour == "G" else tent
-        both = (
-            cv2.filter2D(plane, -1, kernel, borderType=cv2.BORDER_CONSTANT)
-            for plane in (mosaic.astype(np.float32) * there, there)
-        )
-        planes.append(np.divide(*both))
-    return np.stack(planes, -1)
+    found = np.empty((*mosaic.shape, 3), np.float32)
+    for number, colour in enumerate("RGB"):
+        plane = np.zeros(mosaic.shape, np.float32)
+        for cell in (k for k, name in enumerate(pattern) if name == colour):
+            own = np.s_[cell // 2 :: 2, cell % 2 :: 2]
+            plane[own] = mosaic[own]
+        border = cv2.BORDER_REFLECT_101
+        if colour == "G":
+            plane = cv2.filter2D(plane, -1, cross, borderType=border)
+        else:
+            plane = cv2.sepFilter2D(plane, -1, tent, tent, borderType=border)
+        found[..., number] = plane
+    return found
 
 
 def looks_like_mosaic(pixels: NDArray[Any]) -> bool:
