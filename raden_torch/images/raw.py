@@ -180,7 +180,7 @@ def raw_in_colour(image: RawImage, path: str | os.PathLike[str]) -> Floats32:
     if image.colour is None:
         raise InputError(
             f"{path}: expected a camera whose colour matrix is in the file or known to LibRaw, got "
-            "an unknown one; give a colour file of `raden capture colour`"
+            "an unknown one; `raden capture colour` measures its colours"
         )
     if image.pattern is not None:
         linear = demosaiced(linear[..., 0], image.pattern)

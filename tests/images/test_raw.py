@@ -199,7 +199,7 @@ def test_what_is_refused(tmp_path: Path, dng: ModuleType) -> None:
         assert str(caught.value).startswith(f"{path}: ")
         assert "\n" not in str(caught.value)
     unknown = dng.write_dng(tmp_path / "a.dng", noise(), matrix=None)
-    with pytest.raises(InputError, match=r"got an unknown one; give a colour file"):
+    with pytest.raises(InputError, match=r"got an unknown one; `raden capture colour` measures"):
         raw_in_colour(read_raw(unknown), unknown)
     with pytest.raises(InputError, match="No such file"):
         read_raw(tmp_path / "none.dng")

@@ -167,7 +167,7 @@ def test_a_camera_that_nobody_knows_is_relit_by_a_colour_file(
     relit = tmp_path / "relit.png"
     done = raden("relight", path, *surface, "-o", relit)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "got an unknown one; give a colour file of `raden capture colour`" in done.stderr
+    assert "got an unknown one; `raden capture colour` measures its colours" in done.stderr
     assert not relit.exists()
     to_xyz = np.linalg.inv(
         [[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]]
