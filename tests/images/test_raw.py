@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from raden_torch.errors import InputError
 from raden_torch.images.mosaic import BAYER_PATTERNS, colour_masks
 from raden_torch.images.pixels import oriented
-from raden_torch.images.raw import is_raw, raw_in_colour, read_raw
+from raden_torch.images.raw import is_raw, read_raw
+from raden_torch.images.raw_image import raw_in_colour
 
 H, W = 24, 32
 D65 = np.array([0.95047, 1.0, 1.08883])

@@ -42,7 +42,8 @@ from raden_torch.images.pixels import (
     read_pixels,
     write_pixels,
 )
-from raden_torch.images.raw import is_raw, raw_in_colour, read_raw
+from raden_torch.images.raw import is_raw, read_raw
+from raden_torch.images.raw_image import raw_in_colour
 
 _FLOAT_SUFFIXES = (".exr", ".hdr", ".tif", ".tiff")
 _WHOLE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")

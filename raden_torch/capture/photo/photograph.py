@@ -23,7 +23,8 @@ from raden_torch.errors import InputError
 from raden_torch.images.colour_space import SRGB_SPACE, in_srgb
 from raden_torch.images.mosaic import demosaiced
 from raden_torch.images.pixels import read_image
-from raden_torch.images.raw import RawColour, is_raw
+from raden_torch.images.raw import is_raw
+from raden_torch.images.raw_image import RawColour
 from raden_torch.images.shot_settings import UNKNOWN, ShotSettings
 
 

@@ -27,7 +27,8 @@ from raden_torch.images.mosaic import (
     turned_cells,
 )
 from raden_torch.images.pixels import StoredImage, read_image
-from raden_torch.images.raw import RawImage, is_raw, read_raw
+from raden_torch.images.raw import is_raw, read_raw
+from raden_torch.images.raw_image import RawImage
 from raden_torch.images.shot_settings import UNKNOWN, ShotSettings, positive, settings_of
 
 Coding = Literal["auto", "srgb", "linear"] | NDArray[np.floating[Any]]

@@ -13,7 +13,7 @@ from raden_torch.capture.photo.stored_photograph import JPEG_SUFFIXES, Coding, S
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import SRGB_SPACE, in_srgb
 from raden_torch.images.lookup_profile import LookupProfile
-from raden_torch.images.raw import RawImage
+from raden_torch.images.raw_image import RawImage
 
 
 @dataclass(frozen=True, eq=False)

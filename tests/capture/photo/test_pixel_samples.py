@@ -45,7 +45,7 @@ from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.colorimetry import D65_XYZ
 from raden_torch.errors import InputError
-from raden_torch.images.raw import RawColour
+from raden_torch.images.raw_image import RawColour
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 
 SIZE = (140, 160)

@@ -11,7 +11,7 @@ from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.capture.photo.colour import ColourCorrection, ColourFile, read_colour
 from raden_torch.capture.photo.result_file import read_result
-from raden_torch.images.raw import RawColour
+from raden_torch.images.raw_image import RawColour
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import RGB, XYZ
 

@@ -18,7 +18,7 @@ from raden_torch.capture.photo.exposures import CEILING, unsaturated
 from raden_torch.capture.photo.lamps import read_lamps
 from raden_torch.capture.photo.result_file import read_result
 from raden_torch.errors import InputError
-from raden_torch.images.raw import RawColour
+from raden_torch.images.raw_image import RawColour
 from raden_torch.images.shot_settings import UNKNOWN, ShotSettings, check_alike
 
 _MOST_PIXELS = 400_000_000
