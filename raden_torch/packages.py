@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
+from threading import Lock
 
 from raden_torch.errors import InputError
 
@@ -25,10 +29,16 @@ EXTRAS = {
     "export": {"onnx": "onnx", "onnxruntime": "onnxruntime", "onnxscript": "onnxscript"},
     "simulate": {"mitsuba": "mitsuba", **_PHOTO},
     "xls": {"xlrd": "xlrd"},
+    "raw": {"rawpy": "rawpy", **_IMAGES},
+    "heif": {"pillow_heif": "pillow-heif", **_IMAGES},
+    "icc": {"imagecodecs": "imagecodecs", **_IMAGES},
     "catalogue": {"pyarrow": "pyarrow", **_IMAGES, **_SPECTRAL},
     "cluster": {"distributed": "distributed"},
 }
 """For each extra the modules that are imported, with the names that pip installs them by."""
+
+
+_STDERR = Lock()
 
 
 class MissingPackageError(InputError, ImportError):
@@ -63,3 +73,21 @@ def _is_installed(module: str) -> bool:
         return find_spec(module) is not None
     except (ImportError, ValueError):  # ValueError: a module that was imported without a spec
         return False
+
+
+@contextmanager
+def quiet_stderr() -> Iterator[None]:
+    """Foreign libraries print their errors as well as raising them; the raised ones are enough.
+
+    One thread at a time: what is redirected is the process's.
+    """
+    with _STDERR:
+        saved = os.dup(2)
+        null = os.open(os.devnull, os.O_WRONLY)
+        try:
+            os.dup2(null, 2)
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+            os.close(null)

@@ -43,6 +43,40 @@ Layout = Literal["picture", "strip", "sheet"]
 
 
 @dataclass(frozen=True)
+class CameraRgb:
+    """How photographs in a camera's own RGB are read.
+
+    Attributes:
+        colour: the file of `raden capture colour` that makes colours of it.
+        linear: whole numbers are linear light, as in raw files they always are.
+    """
+
+    colour: Path
+    linear: bool = False
+
+
+Coded = Literal["srgb", "linear"] | CameraRgb
+"""What whole numbers in photographs are."""
+
+
+def read_to_relight(path: Path, coded: Coded = "srgb") -> Photograph:
+    """A photograph in linear light of sRGB's primaries, with the depth of its file.
+
+    Raises:
+        InputError: as for `read_photograph`, `read_linear` and `read_colour`.
+    """
+    if not isinstance(coded, CameraRgb):
+        return read_photograph(path, coded=coded)
+    from raden_torch.capture.photo.colour import read_colour
+    from raden_torch.capture.photo.photograph import read_linear
+
+    photo = read_linear(path, coded="linear" if coded.linear else "auto")
+    rgb = torch.from_numpy(read_colour(coded.colour).to_linear_srgb(photo.linear))
+    levels = None if photo.bits is None else 2**photo.bits - 1
+    return Photograph(rgb.movedim(-1, 0)[None].contiguous(), levels)
+
+
+@dataclass(frozen=True)
 class Surface:
     """What is relit in a photograph.
 
@@ -95,7 +129,7 @@ def relight_files(
     reading: GBufferReading = USUAL,
     display: Display = AS_IT_IS,
     original: Path | tuple[float, float, float] | None = None,
-    coded: Literal["srgb", "linear"] = "srgb",
+    coded: Coded = "srgb",
 ) -> list[Path]:
     """Relight photographs that share a normal map and a mask; returns the files written.
 
@@ -112,7 +146,9 @@ def relight_files(
         original: the direction to the lamp that the photographs were taken under, or the
             normals.json of `raden capture normals`, which knows it by the photograph's name: keeps
             the photograph's own texture.
-        coded: what whole numbers in the photographs are; the pictures are written as sRGB.
+        coded: what whole numbers in the photographs are; the pictures are written as sRGB. Raw
+            files are linear, and have the colours that they say themselves, or those of a colour
+            file.
 
     Alpha is kept where the output's format has one. In a strip every lamp has it; a contact sheet
     is opaque.
@@ -122,11 +158,12 @@ def relight_files(
     """
     targets = _targets(photos, output)
     known = original if isinstance(original, Path) else None
-    check_outputs(*targets, inputs=(*photos, normals, mask, model, known, reading.material))
+    colour = coded.colour if isinstance(coded, CameraRgb) else None
+    check_outputs(*targets, inputs=(*photos, normals, mask, model, known, reading.material, colour))
     loaded = load_lit(model)
     surface = Surface.read(loaded, model, normals, mask, green, reading)
     for path, target in zip(photos, targets, strict=True):
-        photo = read_photograph(path, coded=coded)
+        photo = read_to_relight(path, coded)
         check_photograph(photo, target, display)
         before = None if original is None else [original_lamp(original, path)]
         try:

@@ -49,6 +49,9 @@ SMALLEST = {
     "export": "raden export shell.safetensors -o shell.onnx",
     "simulate": "raden capture simulate --lamps 3 --width 300 -o photographs",
     "xls": "raden info shell.csv",
+    "raw": "raden info a.png",
+    "heif": "raden info a.png",
+    "icc": "raden info a.png",
     "catalogue": "raden catalogue add shells shell.csv",
     "cluster": "raden fit shell.csv -o models --interpolation trilinear",
 }

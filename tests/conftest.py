@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import TextIO
 from unittest import mock
 
@@ -103,6 +105,17 @@ def _caught(name: str) -> Iterator[TextIO]:
         finally:
             os.dup2(kept, number)
             os.close(kept)
+
+
+@pytest.fixture(scope="session")
+def dng() -> ModuleType:
+    """`tests/dng.py`, which writes raw files of known values."""
+    spec = importlib.util.spec_from_file_location("dng", Path(__file__).with_name("dng.py"))
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture(scope="session")

@@ -65,6 +65,8 @@ ASKS = {  # a command: what needs the extra, and the extra
         "cluster",
     ),
     "info {folder}/a.xls": ("workbooks of the RT-300S", "xls"),
+    "info {folder}/a.dng": ("camera raw files", "raw"),
+    "info {folder}/a.heic": ("HEIC pictures", "heif"),
     "demo --out {folder}/demo": ("the demo's pictures", "images,plots,export"),
 }
 
@@ -113,6 +115,8 @@ def core(
     an environment with the project's wheel and nothing else."""
     folder = tmp_path_factory.mktemp("core")
     (folder / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    (folder / "a.dng").write_bytes(b"II*\0" + bytes(100))
+    (folder / "a.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
     (folder / "a.exr").write_bytes(b"\x76\x2f\x31\x01" + bytes(100))
     (folder / "a.onnx").write_bytes(b"\x08\x08\x12\x00")
     (folder / "a.xls").write_bytes(bytes.fromhex("d0cf11e0a1b11ae1") + bytes(100))

@@ -26,6 +26,7 @@ from raden_torch.errors import InputError
 
 if TYPE_CHECKING:
     from raden_torch.brdf.shading.lights import Light
+    from raden_torch.relighting import Coded
 
 
 @Parameter(name="*")
@@ -51,6 +52,9 @@ class RelightOptions:
     `raden capture normals`"""
     linear: bool = False
     """read whole numbers in the photographs as linear light"""
+    colour: Path | None = None
+    """colour file of `raden capture colour`, for photographs in the camera's own RGB, as raw files
+    are; by default raw files have the colours that they say themselves"""
     green: Literal["opengl", "directx"] = "opengl"
     """which way green points in the normal map"""
     memory: Bytes = 4 * 1024**3
@@ -65,6 +69,14 @@ class RelightOptions:
     @property
     def layout(self) -> Literal["picture", "strip", "sheet"]:
         return "strip" if self.strip else "sheet" if self.sheet else "picture"
+
+    @property
+    def coded(self) -> Coded:
+        from raden_torch.relighting import CameraRgb
+
+        if self.colour is not None:
+            return CameraRgb(self.colour, self.linear)
+        return "linear" if self.linear else "srgb"
 
     def lamps(self) -> Sequence[Light]:
         """The lamps of one picture, or of the ring."""
@@ -99,7 +111,7 @@ def relight(
     for photo in photos:
         check_no_pattern(photo)
     used = without_other_inputs(
-        photos, how.normals, how.mask, how.model, around.environment, exr.material
+        photos, how.normals, how.mask, how.model, how.colour, around.environment, exr.material
     )
     surroundings = around.lights()
     lights = [*(lights_of(how.light) if surroundings else how.lamps()), *surroundings]
@@ -113,7 +125,7 @@ def relight(
             lights,
             layout=how.layout,
             original=how.original_light,
-            coded="linear" if how.linear else "srgb",
+            coded=how.coded,
             green=how.green,
             reading=exr.reading,
             display=display.display,
@@ -154,7 +166,7 @@ def _relight_frames(
         reading=exr.reading,
         display=display.display,
         original=how.original_light,
-        coded="linear" if how.linear else "srgb",
+        coded=how.coded,
     )
     with working("looking at the frames"):
         job, frames = plan_relight(job, sequence.frames, skip_missing=sequence.skip_missing)

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import importlib
-import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.export.workers.worker import PROGRAMS, Worker, WorkerError
-from raden_torch.packages import require
+from raden_torch.packages import quiet_stderr, require
 
 Arrays = dict[str, NDArray[np.float32]]
 Run = Callable[[Arrays], NDArray[np.float32]]
@@ -114,7 +112,7 @@ def _in_this_process(data: bytes) -> Iterator[Runtime | SkippedRuntime]:
             yield SkippedRuntime(name, "not installed")
             continue
         try:
-            with _quiet_stderr():
+            with quiet_stderr():
                 runtime = load(found, data)
         except Exception as error:  # whatever a foreign runtime raises is its reason
             yield SkippedRuntime(name, f"cannot load it: {one_line(error)}")
@@ -174,7 +172,7 @@ def _opencv(cv2: ModuleType, data: bytes) -> Runtime:
 
     def run(inputs: Arrays) -> NDArray[np.float32]:
         # a new net a call: it keeps the sizes that it was first run with
-        with _quiet_stderr():
+        with quiet_stderr():
             net = cv2.dnn.readNetFromONNX(buffer, cv2.dnn.ENGINE_NEW)
             for name, value in inputs.items():
                 net.setInput(value, name)
@@ -182,20 +180,6 @@ def _opencv(cv2: ModuleType, data: bytes) -> Runtime:
 
     cv2.dnn.readNetFromONNX(buffer, cv2.dnn.ENGINE_NEW)
     return Runtime("OpenCV dnn", cv2.__version__, run, False)
-
-
-@contextmanager
-def _quiet_stderr() -> Iterator[None]:
-    """Foreign libraries print their errors as well as raising them; the raised ones are enough."""
-    saved = os.dup(2)
-    null = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(null, 2)
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-        os.close(null)
 
 
 def one_line(error: Exception) -> str:

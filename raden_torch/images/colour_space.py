@@ -12,7 +12,16 @@ from raden_torch.arrays import Floats
 from raden_torch.colorimetry import DISPLAY_P3, SRGB, bradford, primary_matrix, xyz_of_white
 from raden_torch.errors import InputError
 from raden_torch.images.header import ColourTags
-from raden_torch.images.icc import ICC_WHITE, Curve, IccProfile, UnknownProfile, parse_icc, power
+from raden_torch.images.icc import (
+    ICC_WHITE,
+    Curve,
+    IccProfile,
+    UnknownProfile,
+    has_lookup_tables,
+    parse_icc,
+    power,
+)
+from raden_torch.images.lookup_profile import LookupProfile
 
 ADOBE_RGB = (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290)
 """Adobe RGB (1998), whose curve is the power 563/256."""
@@ -47,15 +56,17 @@ class ColourSpace:
         return all(_near(curve, _identity) for curve in self.curves)
 
 
-def colour_space_of(tags: ColourTags, path: str | os.PathLike[str]) -> ColourSpace | None:
+def colour_space_of(
+    tags: ColourTags, path: str | os.PathLike[str]
+) -> ColourSpace | LookupProfile | None:
     """What a file says; None where it says nothing, or sRGB (`SRGB_SPACE`).
 
     The order of precedence is PNG's: cICP, an ICC profile, sRGB, then gAMA and cHRM.
 
     Raises:
-        InputError: a profile that is no matrix with curves, or a curve that is made for HDR.
+        InputError: a profile that is neither grey nor RGB, or a curve that is made for HDR.
     """
-    found = None
+    found: ColourSpace | LookupProfile | None = None
     if tags.cicp is not None:
         found = _by_cicp(tags.cicp, path)
     elif tags.icc is not None:
@@ -69,6 +80,8 @@ def colour_space_of(tags: ColourTags, path: str | os.PathLike[str]) -> ColourSpa
         is_srgb = coded <= 0 or abs(coded - 1 / 2.2) < 5e-3
         curve = srgb_curve if is_srgb else _gamma(1 / coded)
         found = ColourSpace(_three(curve), to_srgb(tags.chromaticities or SRGB, path))
+    if isinstance(found, LookupProfile):
+        return found
     is_srgb = found is None or (
         found.matrix is None and all(_near(curve, srgb_curve) for curve in found.curves)
     )
@@ -125,6 +138,8 @@ def float_matrix(
         InputError: a profile with a curve, and nobody says which of both is right.
     """
     space = colour_space_of(tags, path)
+    if isinstance(space, LookupProfile):
+        raise no_primaries(path)
     if tags.icc is not None and not is_linear and (space is None or not space.is_linear):
         raise InputError(
             f"{path}: expected linear light in floats, got a profile with a curve; save it with a "
@@ -138,8 +153,18 @@ def srgb_curve(coded: Floats) -> Floats:
     return np.where(coded <= 0.04045, coded / 12.92, power((coded + 0.055) / 1.055, 2.4))
 
 
-def _by_icc(data: bytes, path: str | os.PathLike[str]) -> ColourSpace:
+def no_primaries(path: str | os.PathLike[str]) -> InputError:
+    """For values that are said to be linear, or sRGB, beside a profile of tables."""
+    return InputError(
+        f"{path}: expected a profile with primaries for values that are known to be linear or "
+        "sRGB's, got one of lookup tables; say nothing of them, or convert it to sRGB first"
+    )
+
+
+def _by_icc(data: bytes, path: str | os.PathLike[str]) -> ColourSpace | LookupProfile:
     try:
+        if has_lookup_tables(data):
+            return LookupProfile(data, path)
         profile: IccProfile = parse_icc(data)
     except UnknownProfile as error:
         raise InputError(

@@ -21,8 +21,8 @@ Alpha = Literal["none", "straight", "associated"]
 
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "GIF", "WEBP", "PPM")
 _KNOWN = (
-    "a PNG, JPEG, TIFF, BMP, GIF, WebP, PPM, Radiance HDR, Targa, PSD, DPX, SGI, JPEG 2000 or "
-    "JPEG XL image"
+    "a PNG, JPEG, TIFF, BMP, GIF, WebP, PPM, Radiance HDR, Targa, PSD, DPX, SGI, JPEG 2000, JPEG "
+    "XL or HEIC image"
 )
 _GREY_OR_RGB = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr", "I;16", "I", "F")
 _PHOTOMETRIC = {5: "CMYK", 8: "Lab", 9: "Lab", 10: "Lab", 32803: "CFA", 34892: "LinearRaw"}

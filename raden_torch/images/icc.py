@@ -1,4 +1,4 @@
-"""ICC profiles of matrix and curves (ICC.1:2022), at 16 bits; Pillow's LittleCMS converts 8."""
+"""ICC profiles of matrix and curves (ICC.1:2022), at 16 bits; of tables: `lookup_profile.py`."""
 
 from __future__ import annotations
 
@@ -35,19 +35,22 @@ class UnknownProfile(ValueError):
     """Says what a profile is, where it is neither grey nor RGB with matrix and curves."""
 
 
+def has_lookup_tables(data: bytes) -> bool:
+    """Whether an RGB profile has them: they come before its matrix (ICC.1:2022, 8.3 and 9.1)."""
+    return data[16:20] == b"RGB " and bool(_tags(data).keys() & {b"A2B0", b"A2B1"})
+
+
 def parse_icc(data: bytes) -> IccProfile:
     """The curves and the matrix of a grey or RGB profile.
 
     Raises:
-        UnknownProfile: of another colour space, of lookup tables alone, or damaged.
+        UnknownProfile: of another colour space, grey of lookup tables alone, or damaged.
     """
     try:
         space = data[16:20].decode("latin-1").strip()
         if data[36:40] != b"acsp":
             raise UnknownProfile("a damaged profile")
-        (count,) = struct.unpack_from(">I", data, 128)
-        entries = (struct.unpack_from(">4sII", data, 132 + 12 * k) for k in range(min(count, 200)))
-        tags = {name: data[start : start + size] for name, start, size in entries}
+        tags = _tags(data)
         if space == "GRAY" and b"kTRC" in tags:
             return IccProfile((_curve(tags[b"kTRC"]),), None)
         wanted = [bytes([c]) + rest for rest in (b"XYZ", b"TRC") for c in b"rgb"]
@@ -88,6 +91,15 @@ def srgb_curved_profile(name: str, chromaticities: tuple[float, ...]) -> bytes:
     header += struct.pack(">6H", 2026, 1, 1, 0, 0, 0) + b"acsp"
     header = header.ljust(68, b"\0") + _fixed(*ICC_WHITE)
     return header.ljust(128, b"\0") + directory + body
+
+
+def _tags(data: bytes) -> dict[bytes, bytes]:
+    try:
+        (count,) = struct.unpack_from(">I", data, 128)
+        entries = [struct.unpack_from(">4sII", data, 132 + 12 * k) for k in range(min(count, 200))]
+    except struct.error:
+        raise UnknownProfile("a damaged profile") from None
+    return {name: data[start : start + size] for name, start, size in entries}
 
 
 def _fixed(*numbers: float) -> bytes:

@@ -1,4 +1,5 @@
-"""Targa, PSD, DPX, SGI, JPEG 2000 and JPEG XL: formats of compositors, read by OpenImageIO."""
+"""Targa, PSD, DPX, SGI, JPEG 2000 and JPEG XL: formats of compositors, read by OpenImageIO; HEIC
+by libheif."""
 
 from __future__ import annotations
 
@@ -11,6 +12,8 @@ from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
 from raden_torch.images.header import Alpha, ColourTags, Header, check_size
+from raden_torch.images.heif import NAME as HEIC
+from raden_torch.images.heif import is_heic, read_heic
 from raden_torch.images.openimageio import error_of, opened, openimageio
 
 _STARTS = {
@@ -41,9 +44,11 @@ def other_format(path: str | os.PathLike[str], start: bytes | None = None) -> st
     if start is None:
         try:
             with open(path, "rb") as file:
-                start = file.read(8)
+                start = file.read(64)
         except OSError:
             return None
+    if is_heic(start):
+        return HEIC
     found = next((name for first, name in _STARTS.items() if start.startswith(first)), None)
     if found is None and Path(path).suffix.lower() == ".tga":
         is_targa = len(start) > 2 and start[1] in _TARGA_MAPS and start[2] in _TARGA_KINDS
@@ -64,6 +69,9 @@ def read_other(path: str | os.PathLike[str], name: str) -> tuple[Header, NDArray
         InputError: damaged; too large; neither grey nor RGB; of other numbers than 8 or 16 bits or
             floats; a DPX in logarithmic or video code; several frames.
     """
+
+    if name == HEIC:
+        return read_heic(path)
 
     def damaged(reason: str) -> InputError:
         return InputError(f"{path}: a damaged {name} file; expected a whole one ({reason})")

@@ -10,7 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raden_torch.errors import InputError
+from raden_torch.images.heif import NAME as HEIC
+from raden_torch.images.heif import said_of_heic
 from raden_torch.images.other_formats import other_format
+from raden_torch.images.raw import begins_as_raw, is_raw
+from raden_torch.images.shot_settings import settings_in_words, settings_of
 from raden_torch.packages import require
 
 if TYPE_CHECKING:
@@ -90,19 +94,24 @@ def _gbuffer(file: ExrFile) -> str:
 
 
 def recognises_image(head: bytes) -> bool:
-    return _IMAGES.match(head) is not None or other_format("", head) is not None
+    return (
+        _IMAGES.match(head) is not None or other_format("", head) is not None or begins_as_raw(head)
+    )
 
 
 def describe_image(path: Path) -> str:
     """Size, channels, bits, and what the file says of itself; why it is not read, if it is not."""
     from raden_torch.images.header import read_header
-    from raden_torch.images.pixels import read_pixels
+    from raden_torch.images.pixels import read_image
 
-    said = _said(path)
-    width, height = said.pop("size", (0, 0))
+    if is_raw(path):
+        return _describe_raw(path)
     other = other_format(path)
+    said = {} if other == HEIC else _said(path)  # which Pillow does not know
+    width, height = said.pop("size", (0, 0))
     mode, form = said.pop("mode", ""), other or said.pop("format", "Radiance HDR")
     said.pop("format", None)
+    more: list[str] = []
     try:
         if other is None:
             read_header(path)
@@ -111,13 +120,41 @@ def describe_image(path: Path) -> str:
             raise
         held = f"{mode}; cannot be read here: {str(error).removeprefix(f'{path}: ')}"
     else:
-        pixels = read_pixels(path, colour=False)
-        height, width = pixels.shape[:2]
-        names = "grey" if pixels.ndim == 2 else _CHANNELS[pixels.shape[2]]
-        kind = "floating point" if pixels.dtype.kind == "f" else "whole numbers"
-        held = f"{names}; {8 * pixels.dtype.itemsize} bits a channel, {kind}"
+        image = read_image(path)
+        height, width = image.pixels.shape[:2]
+        channels = (1 if image.pixels.ndim == 2 else 3) + (image.alpha is not None)
+        kind = "floating point" if image.pixels.dtype.kind == "f" else "whole numbers"
+        held = f"{_CHANNELS[channels]}; {8 * image.pixels.dtype.itemsize} bits a channel, {kind}"
+        more = settings_in_words(settings_of(image.header.tags))
+        if other == HEIC:
+            profile = image.header.colour.icc
+            said["ICC profile"] = "none" if profile is None else _icc_name(profile)
+            more += said_of_heic(path)
     lines = [f"{form} image: {width} x {height} pixels (width x height)", held]
-    return "\n".join([*lines, *(f"{name}: {value}" for name, value in said.items())])
+    return "\n".join([*lines, *(f"{name}: {value}" for name, value in said.items()), *more])
+
+
+def _describe_raw(path: Path) -> str:
+    from raden_torch.images.raw import read_raw
+
+    raw = read_raw(path)
+    height, width = raw.values.shape[:2]
+    black = ", ".join(f"{level:g}" for level in dict.fromkeys(raw.black.ravel().tolist()))
+    if raw.pattern is not None:
+        held = f"Bayer mosaic {raw.pattern}"
+    else:
+        held = "linear colours" if raw.values.ndim == 3 else "grey"
+    lines = [
+        f"camera raw file: {width} x {height} pixels (width x height)",
+        f"{held}; black level {black}, white level {raw.white:g}",
+        *settings_in_words(settings_of(raw.tags, is_raw=True)),
+    ]
+    if raw.colour is not None:
+        balance = ", ".join(f"{share:.3f}" for share in raw.colour.balance)
+        lines.append(f"colours: {raw.colour.source} ({balance})")
+    elif held != "grey":
+        lines.append("colours: an unknown camera; `raden capture colour` measures them")
+    return "\n".join([*lines, *raw.notes])
 
 
 def _said(path: Path) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import torch
 
@@ -16,7 +15,6 @@ from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.image_file import (
     Photograph,
     check_photograph,
-    read_photograph,
     write_photograph,
 )
 from raden_torch.brdf.files.lit_model import load_lit
@@ -24,7 +22,15 @@ from raden_torch.brdf.files.normal_axes import Green
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.shading.lights import Light
 from raden_torch.brdf.shading.relight import matching_gain, shaded_under
-from raden_torch.relighting import Layout, Surface, original_lamp, relit_photograph
+from raden_torch.relighting import (
+    CameraRgb,
+    Coded,
+    Layout,
+    Surface,
+    original_lamp,
+    read_to_relight,
+    relit_photograph,
+)
 from raden_torch.sequences.frames import frame_path, is_pattern
 from raden_torch.sequences.lighting import UNSAID, Lighting
 from raden_torch.sequences.picture_job import UNKNOWN, PictureJob, Shape, import_codecs
@@ -77,7 +83,7 @@ class RelightJob(PictureJob[Scene, Taken, Photograph]):
     reading: GBufferReading = USUAL
     display: Display = AS_IT_IS
     original: Path | tuple[float, float, float] | None = None
-    coded: Literal["srgb", "linear"] = "srgb"
+    coded: Coded = "srgb"
 
     @property
     def patterns(self) -> tuple[Path, ...]:
@@ -87,7 +93,8 @@ class RelightJob(PictureJob[Scene, Taken, Photograph]):
     @property
     def shared(self) -> tuple[Path, ...]:
         original = self.original if isinstance(self.original, Path) else None
-        files = (self.model, self.normals, self.mask, self.reading.material, original)
+        colour = self.coded.colour if isinstance(self.coded, CameraRgb) else None
+        files = (self.model, self.normals, self.mask, self.reading.material, original, colour)
         given = (*files, self.lighting.environment)
         return tuple(path for path in given if path is not None and not is_pattern(path))
 
@@ -111,7 +118,7 @@ class RelightJob(PictureJob[Scene, Taken, Photograph]):
 
     def read(self, prepared: Scene, item: int) -> Taken:
         path = frame_path(self.photo, item)
-        photo = read_photograph(path, coded=self.coded)
+        photo = read_to_relight(path, self.coded)
         self.shape.check(path, shape_of_photograph(photo), frame_path(self.photo, self.first))
         check_photograph(photo, self.output(item), self.display)
         original = None if self.original is None else [original_lamp(self.original, path)]
@@ -165,7 +172,7 @@ def plan_relight(
         return job, left
 
     def look(path: Path) -> Shape:
-        return shape_of_photograph(read_photograph(path, coded=job.coded))
+        return shape_of_photograph(read_to_relight(path, job.coded))
 
     first, shape = first_like(job.photo, to_do, look)
     job = replace(job, first=first, shape=shape)

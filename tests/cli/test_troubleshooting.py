@@ -13,6 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -48,14 +49,15 @@ def result() -> FitResult:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, result: FitResult) -> Path:
+def folder(tmp_path_factory: pytest.TempPathFactory, result: FitResult, dng: ModuleType) -> Path:
     """What a newcomer may have at hand."""
     path = tmp_path_factory.mktemp("newcomer")
     _write_measurements(path)
     _write_images(path)
+    _write_raw_files(path, dng)
     rt.save_model(result.model, path / "shell.safetensors")
     whole = (path / "shell.safetensors").read_bytes()
-    (path / "half.safetensors").write_bytes(whole[: len(whole) // 2])
+    (path / "half.safetensors").write_bytes(whole[: len(whole) * 3 // 4])  # within its tensors
     save_file({"weight": torch.ones(3)}, path / "network.safetensors")
     torch.save({"weight": torch.ones(3)}, path / "network.pt")
     (path / "scene.toml").write_text("[camera\nfov_deg = 30\n")
@@ -105,6 +107,15 @@ def _write_images(path: Path) -> None:
     one = np.ones((24, 32), np.float32)
     write_channels(path / "beauty.exr", {"R": one, "G": one, "B": one})
     write_channels(path / "depth.exr", {"Z": one * 5})
+
+
+def _write_raw_files(path: Path, dng: ModuleType) -> None:
+    grey = np.full((24, 32), 1000, np.uint16)
+    dng.write_dng(path / "unknown.dng", grey, matrix=None)
+    numbers = bytes("RGB".index(c) for c in "GGRGGBGGBGGRBRGRBGGGBGGRGGRGGBRBGBRG")
+    dng.write_dng(path / "xtrans.dng", grey, tags={33421: (3, (6, 6)), 33422: (1, numbers)})
+    whole = dng.write_dng(path / "half.dng", grey).read_bytes()
+    (path / "half.dng").write_bytes(whole[: len(whole) // 2])
 
 
 def shown(cell: str) -> re.Pattern[str]:

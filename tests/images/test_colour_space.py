@@ -11,6 +11,8 @@ import OpenEXR
 import pytest
 from PIL import Image, ImageCms
 
+from raden_torch.brdf.files.image_file import read_photograph
+from raden_torch.capture.photo.photograph import read_linear
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import (
     SRGB_SPACE,
@@ -21,6 +23,8 @@ from raden_torch.images.colour_space import (
     srgb_curve,
 )
 from raden_torch.images.header import ColourTags
+from raden_torch.images.icc import has_lookup_tables
+from raden_torch.images.lookup_profile import LookupProfile
 from raden_torch.images.pixels import read_image
 
 # published colorants under D50 (Apple's Display P3; Adobe RGB 1998; ROMM RGB), red, green, blue
@@ -145,7 +149,7 @@ def test_a_grey_profile_has_a_curve() -> None:
 @pytest.mark.parametrize(
     ("profile", "got"),
     [
-        (icc({b"A2B0": b"mft2" + bytes(40)}), "got RGB profile of lookup tables"),
+        (icc({b"A2B0": b"mft2" + bytes(40)}, b"GRAY"), "got GRAY profile of lookup tables"),
         (icc({b"A2B0": b"mft2" + bytes(40)}, b"CMYK"), "got CMYK profile of lookup tables"),
         (rgb_icc(P3, b"what" + bytes(8)), "a curve of type b'what'"),
         (rgb_icc(P3, SRGB_TABLE)[:700], "a damaged profile"),
@@ -258,3 +262,114 @@ def test_a_profile_is_found_in_every_format(tmp_path: Path, suffix: str) -> None
     path = tmp_path / f"a.{suffix}"
     Image.new("RGB", (8, 8), (90, 140, 60)).save(path, icc_profile=profile)
     assert read_image(path).header.colour == ColourTags(icc=profile)
+
+
+def lookup_icc(nodes: np.ndarray, curve: np.ndarray) -> bytes:
+    """A profile of one lut16Type (ICC.1:2022, 10.10): input curves, then `[g, g, g, 3]` XYZ."""
+    grid = len(nodes)
+    head = b"mft2" + bytes(4) + bytes((3, 3, grid, 0)) + fixed(1, 0, 0, 0, 1, 0, 0, 0, 1)
+    head += struct.pack(">HH", len(curve), 2)
+    table = np.rint(65535 * np.concatenate([curve] * 3)).astype(">u2").tobytes()
+    cells = np.rint(32768 * nodes).clip(0, 65535).astype(">u2").tobytes()
+    straight = struct.pack(">6H", *(0, 65535) * 3)
+    return icc({b"A2B0": head + table + cells + straight})
+
+
+def of_colorants(colorants: list[tuple[float, ...]], grid: int = 2) -> np.ndarray:
+    """`[g, g, g, 3]` XYZ of a matrix, red slowest: interpolation is exact between its nodes."""
+    axes = np.linspace(0, 1, grid)
+    rgb = np.stack(np.meshgrid(axes, axes, axes, indexing="ij"), -1)
+    return np.clip(rgb @ np.array(colorants), 0, None)
+
+
+@pytest.mark.parametrize("colorants", [ADOBE, SRGB_XYZ])
+def test_tables_agree_with_the_matrix_that_they_were_made_of(
+    colorants: list[tuple[float, ...]],
+) -> None:
+    """Rationale: two ways to one colour, LittleCMS in floats and ours. Expected: the same but for
+    rounding of colorants and tables, in colours beyond sRGB, too."""
+    curve = srgb_curve(np.linspace(0, 1, 4096))
+    profile = lookup_icc(of_colorants(colorants), curve)
+    stored = np.random.default_rng(0).integers(0, 65536, (40, 50, 3)).astype(np.uint16)
+    space = colour_space_of(ColourTags(icc=profile), "a.png")
+    assert isinstance(space, LookupProfile)
+    found = space.linear(stored, 65535)
+    by_matrix = converted(ColourTags(icc=rgb_icc(colorants, SRGB_PARA)), stored / 65535)
+    assert (by_matrix < -0.01).any() == (colorants is ADOBE)
+    np.testing.assert_allclose(found, by_matrix, atol=5e-4)
+
+
+def test_matrix_profiles_by_both_libraries_and_by_us() -> None:
+    """Expected: LittleCMS's floats and our 16 bits agree far within a level of 255."""
+    for colorants in (P3, ADOBE, PROPHOTO):
+        profile = rgb_icc(colorants, SRGB_PARA)
+        stored = np.random.default_rng(1).integers(0, 65536, (40, 50, 3)).astype(np.uint16)
+        theirs = LookupProfile(profile, "a.png").linear(stored, 65535)
+        ours = converted(ColourTags(icc=profile), stored / 65535)
+        np.testing.assert_allclose(ours, theirs, atol=2e-4)
+
+
+def test_tables_come_before_a_matrix() -> None:
+    """ICC.1:2022, 8.3: a profile may have both. Expected: the table's colours."""
+    grey = np.repeat(np.linspace(0, 1, 2), 4)[:, None] * [0.9642, 1, 0.8249]  # of red alone
+    tables = lookup_icc(grey.reshape(2, 2, 2, 3), np.linspace(0, 1, 2))
+    assert has_lookup_tables(tables)
+    assert not has_lookup_tables(rgb_icc(P3, SRGB_PARA))
+    found = LookupProfile(tables, "a.png").linear(np.full((1, 1, 3), 32768, np.uint16), 65535)
+    np.testing.assert_allclose(found, 0.5, atol=1e-3)
+
+
+def test_a_damaged_profile_of_tables_is_an_input_error(tmp_path: Path) -> None:
+    profile = lookup_icc(of_colorants(ADOBE), np.linspace(0, 1, 4096))
+    Image.fromarray(np.zeros((4, 4, 3), np.uint8)).save(
+        tmp_path / "a.png", icc_profile=profile[:300]
+    )
+    with pytest.raises(InputError, match=r"a\.png: expected a colour profile that LittleCMS can"):
+        read_linear(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("depth", [8, 16])
+def test_photographs_with_tables(tmp_path: Path, depth: int) -> None:
+    """Read for capture and for relighting; what is known beside them is refused."""
+    profile = lookup_icc(of_colorants(SRGB_XYZ), srgb_curve(np.linspace(0, 1, 4096)))
+    levels = (1 << depth) - 1
+    stored = np.sort(np.random.default_rng(0).integers(0, levels + 1, (20, 30, 3)), axis=1)
+    path = tmp_path / "a.tif"
+    kind = np.uint8 if depth == 8 else np.uint16
+    write_tiff(path, stored.astype(kind), profile)
+    expected = srgb_curve(stored / levels)
+    photo = read_linear(path)
+    np.testing.assert_allclose(photo.linear, expected, atol=5e-4)
+    slope = (srgb_curve(stored / levels + 0.001) - srgb_curve(stored / levels - 0.001)) / 0.002
+    inside = (stored > 0.05 * levels).all(axis=2) & (stored < 0.98 * levels).all(axis=2)
+    step = slope[inside] / levels / np.sqrt(12)
+    np.testing.assert_allclose(photo.rounding[inside], step, rtol=0.1)
+    shown = read_photograph(path)
+    np.testing.assert_allclose(shown.linear[0].movedim(0, -1), expected, atol=5e-4)
+    for read in (read_linear, read_photograph):
+        with pytest.raises(InputError, match=r"a\.tif: expected a profile with primaries"):
+            read(path, coded="linear")
+
+
+def write_tiff(path: Path, values: np.ndarray, profile: bytes) -> None:
+    """RGB of 8 or 16 bits with an ICC profile; Pillow writes 8 bits alone."""
+    height, width, _ = values.shape
+    tags = [
+        *((256, 3, [width]), (257, 3, [height]), (258, 3, [8 * values.itemsize] * 3)),
+        *((262, 3, [2]), (273, 4, [8]), (277, 3, [3]), (278, 3, [height])),
+        *((279, 4, [values.nbytes]), (34675, 7, list(profile))),
+    ]
+    start, body = 8 + values.nbytes, b""
+    after = start + 2 + 12 * len(tags) + 4
+    entries = b""
+    for number, kind, numbers in tags:
+        data = struct.pack(f"<{len(numbers)}{ {3: 'H', 4: 'I', 7: 'B'}[kind] }", *numbers)
+        entries += struct.pack("<HHI", number, kind, len(numbers))
+        if len(data) > 4:
+            entries += struct.pack("<I", after + len(body))
+            body += data + bytes(len(data) % 2)
+        else:
+            entries += data.ljust(4, b"\0")
+    directory = struct.pack("<H", len(tags)) + entries + bytes(4) + body
+    pixels = values.astype(values.dtype.newbyteorder("<")).tobytes()
+    path.write_bytes(struct.pack("<2sHI", b"II", 42, start) + pixels + directory)

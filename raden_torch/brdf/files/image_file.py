@@ -28,10 +28,12 @@ from raden_torch.images.colour_space import (
     exr_matrix,
     float_matrix,
     in_srgb,
+    no_primaries,
 )
 from raden_torch.images.exr import write_channels
 from raden_torch.images.exr_file import ExrFile
 from raden_torch.images.exr_layers import Layers
+from raden_torch.images.lookup_profile import LookupProfile
 from raden_torch.images.mask import read_mask_pixels
 from raden_torch.images.pixels import (
     OPAQUE_ENOUGH,
@@ -40,6 +42,8 @@ from raden_torch.images.pixels import (
     read_pixels,
     write_pixels,
 )
+from raden_torch.images.raw import is_raw, read_raw
+from raden_torch.images.raw_image import raw_in_colour
 
 _FLOAT_SUFFIXES = (".exr", ".hdr", ".tif", ".tiff")
 _WHOLE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")
@@ -66,7 +70,8 @@ class Photograph:
 def read_photograph(
     path: str | os.PathLike[str], *, coded: Literal["srgb", "linear"] = "srgb"
 ) -> Photograph:
-    """Read an 8- or 16-bit PNG, JPEG, TIFF, BMP, GIF or WebP, or a float TIFF, HDR or EXR (linear).
+    """Read an 8- or 16-bit PNG, JPEG, TIFF, BMP, GIF, WebP or HEIC, a float TIFF, HDR or EXR
+    (linear), or a camera's raw file, in the colours that it says itself.
 
     A colour profile, PNG's colour chunks and OpenEXR's chromaticities are followed: the result has
     sRGB's primaries, unclipped. EXIF's orientation is followed, as in every image that is read.
@@ -79,8 +84,11 @@ def read_photograph(
         InputError: as for `read_image` and `colour_space_of`; or whole numbers of other sizes.
 
     Warns:
-        UserWarning: an 8- or 16-bit photograph with colours that sRGB cannot hold.
+        UserWarning: an 8- or 16-bit photograph with colours that sRGB cannot hold; of a raw file
+            where its colours are from, and what corrections it asks for.
     """
+    if is_raw(path):
+        return _raw_photograph(path)
     if Path(path).suffix.lower() == ".exr":
         return _exr_photograph(path)
     image = read_image(path)
@@ -88,14 +96,17 @@ def read_photograph(
     if levels is None:
         matrix = float_matrix(tags, path, is_linear=coded == "linear")
         rgb = _finite(image.rgb)
+    elif isinstance(space := colour_space_of(tags, path) or SRGB_SPACE, LookupProfile):
+        if coded == "linear":
+            raise no_primaries(path)
+        rgb, matrix = space.linear(image.rgb, levels), None
     else:
-        space = colour_space_of(tags, path) or SRGB_SPACE
         ramp = np.linspace(0, 1, levels + 1, dtype=np.float32)[:, None].repeat(3, 1)
         table = ramp if coded == "linear" else space.table(levels)
         stored, matrix = image.rgb, space.matrix
         rgb = np.stack([table[:, c].take(stored[..., c]) for c in range(3)], -1)
     rgb = in_srgb(rgb, matrix)
-    if levels is not None and matrix is not None:
+    if levels is not None and (matrix is not None or isinstance(space, LookupProfile)):
         _warn_of_gamut(path, rgb)
     alpha = None
     if image.alpha is not None:
@@ -173,6 +184,16 @@ def _stored(values: Tensor, levels: int | None) -> NDArray[Any]:
         return np.ascontiguousarray(values.numpy(), np.float32)
     whole = np.uint8 if levels == 255 else np.uint16
     return np.ascontiguousarray(np.rint(values.numpy() * levels), whole)
+
+
+def _raw_photograph(path: str | os.PathLike[str]) -> Photograph:
+    """As whole numbers of 16 bits: 1 is where a colour is saturated, balanced."""
+    raw = read_raw(path)
+    rgb = raw_in_colour(raw, path)
+    said = [] if raw.colour is None else [f"colours by {raw.colour.source}"]
+    for note in (*said, *raw.notes):
+        warnings.warn(f"{path}: {note}", stacklevel=3)
+    return Photograph(_tensor(rgb), int(np.iinfo(np.uint16).max))
 
 
 def _exr_photograph(path: str | os.PathLike[str]) -> Photograph:

@@ -11,6 +11,7 @@ from raden_torch.arrays import Floats32
 from raden_torch.capture.photo.photograph import read_stored
 from raden_torch.errors import InputError
 from raden_torch.images.pixels import read_pixels
+from raden_torch.images.raw import is_raw
 
 
 def recover_response(
@@ -37,9 +38,9 @@ def recover_response(
         )
     stored = []
     for path in paths:
-        if read_pixels(path, colour=False).dtype != np.uint8:
+        if is_raw(path) or read_pixels(path, colour=False).dtype != np.uint8:
             raise InputError(
-                f"{path}: expected 8 bits, got 16; 16-bit files are read as linear or sRGB"
+                f"{path}: expected 8 bits, got more; raw and 16-bit files need no response"
             )
         stored.append(read_stored(path))
         if stored[-1].shape != stored[0].shape:

@@ -114,7 +114,7 @@ def capture_brdf(
     views = photo_views(series, sample, fixed)
     found = second_pass(_reported(views, series, progress, 0.5), first, fit, grid)
     cover = _checked_coverage(found, grid, series, sample, first.shape)
-    colour = NodeColour.of(setup.colour, found.scale)
+    colour = NodeColour.of(setup.colour, found.scale, series.colour)
     budget = budget_of(
         found,
         grid,
@@ -134,8 +134,17 @@ def capture_brdf(
         lamps=series.lamps,
         agreement=agreed,
         coverage=cover,
-        notes=(*found.scale.notes, *warned),
+        notes=(*found.scale.notes, *warned, *_said_of_colour(setup, series)),
     )
+
+
+def _said_of_colour(setup: CaptureSetup, series: PhotoSeries) -> list[str]:
+    if setup.colour is not None or series.colour is None:
+        return []
+    return [
+        f"colours by {series.colour.source}, whose errors are in no uncertainty; a colour file of "
+        "`raden capture colour` measures them"
+    ]
 
 
 def _reported(

@@ -18,11 +18,13 @@ from raden_torch.capture.photo.checking_picture import captioned, picture_path
 from raden_torch.capture.photo.colour import ColourCorrection, fit_colour, write_colour
 from raden_torch.capture.photo.development import Development, developed
 from raden_torch.capture.photo.exposures import Radiance
-from raden_torch.capture.photo.mosaic import looks_like_mosaic, possible_patterns
 from raden_torch.capture.photo.photograph import Photograph, read_linear, read_stored, shown
 from raden_torch.capture.photo.result_file import check_result_path
 from raden_torch.errors import InputError
+from raden_torch.images.colour_space import in_srgb
+from raden_torch.images.mosaic import looks_like_mosaic, possible_patterns
 from raden_torch.images.pixels import read_pixels, write_pixels
+from raden_torch.images.raw import is_raw
 
 PathLike = str | os.PathLike[str]
 
@@ -101,7 +103,9 @@ def _found(
     paths: Sequence[PathLike], how: Development, corners: NDArray[Any] | None
 ) -> tuple[Photograph, Radiance | None, Patches, list[Chart]]:
     photo, merged = developed(paths, how)
-    if len(paths) == 1 and photo.pattern is None:
+    if photo.colour is not None:
+        seen = shown(in_srgb(photo.linear, photo.colour.to_srgb))
+    elif len(paths) == 1 and photo.pattern is None:
         seen = read_stored(paths[0])  # the tone curve in it was made for looking
     else:
         seen = shown(photo.linear)
@@ -112,7 +116,7 @@ def _found(
 
 def _untagged(path: PathLike) -> tuple[str, str] | None:
     """The patterns that a mosaic without a CFA tag can have; None for anything else."""
-    if Path(path).suffix.lower() in (".exr", ".hdr"):
+    if Path(path).suffix.lower() in (".exr", ".hdr") or is_raw(path):
         return None
     stored = read_pixels(path, colour=False)
     if stored.ndim != 2 or not looks_like_mosaic(stored):

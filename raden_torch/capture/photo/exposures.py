@@ -14,6 +14,7 @@ from raden_torch.capture.photo.linearity import Linearity, linearity_of
 from raden_torch.capture.photo.noise_fit import fit_noise
 from raden_torch.capture.photo.photograph import Photograph, check_same_size
 from raden_torch.errors import InputError
+from raden_torch.images.shot_settings import check_alike
 
 CEILING = 0.9
 """Share of the white level above which a value counts as saturated too: sensors bend there."""
@@ -97,6 +98,7 @@ def _checked(photos: Sequence[Photograph]) -> list[float]:
     if not photos:
         raise InputError("photographs to merge: expected at least one, got none")
     check_same_size(photos)
+    check_alike([(photo.path, photo.settings) for photo in photos])
     first = photos[0]
     for photo in photos:
         if photo.exposure_s is None:
@@ -109,9 +111,10 @@ def _checked(photos: Sequence[Photograph]) -> list[float]:
                 f"but {first.path} has {first.bits or 'float'} and {first.linear.shape[2]}; "
                 "export the stack in one way"
             )
+        own, wanted_of = photo.settings, first.settings
         for name, have, wanted in (
-            ("ISO", photo.iso, first.iso),
-            ("aperture f/", photo.f_number, first.f_number),
+            ("ISO", own.iso, wanted_of.iso),
+            ("aperture f/", own.f_number, wanted_of.f_number),
         ):
             if have and wanted and abs(have / wanted - 1) > 0.01:
                 raise InputError(

@@ -18,6 +18,11 @@ from raden_torch.capture.photo.photograph import Photograph, check_same_size, re
 from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 from raden_torch.images.mask import read_mask_pixels
+from raden_torch.images.shot_settings import (
+    ShotSettings,
+    check_alike,
+    relative_exposures,
+)
 
 MAX_VALUES = 2**31
 """The most values of a set that are read: 8 GiB."""
@@ -32,7 +37,7 @@ class PhotoSet:
     """K photographs.
 
     Attributes:
-        images: `[K, 3, H, W]` float32, linear light.
+        images: `[K, 3, H, W]` float32, linear light, at the first one's exposure.
         saturated: `[K, 1, H, W]` bool.
         paths: the files, in the order of the lamps.
     """
@@ -56,7 +61,11 @@ def read_set(
     """Read the photographs of a set; `coded` as for `read_linear`.
 
     Raises:
-        InputError: as for `read_linear`, sizes that differ, or more than `MAX_VALUES` in all.
+        InputError: as for `read_linear`; sizes, cameras, lenses, zoom or white balance that differ;
+            or more than `MAX_VALUES` in all.
+
+    Warns:
+        UserWarning: photographs of other ISO, aperture or exposure time, which are scaled by it.
     """
     if not paths:
         raise InputError("photographs: expected one per lamp, got none")
@@ -69,6 +78,7 @@ def read_set(
         )
     images = torch.empty(len(paths), 3, height, width)
     saturated = torch.empty(len(paths), 1, height, width, dtype=torch.bool)
+    shots: list[tuple[Path, ShotSettings]] = []
     for k, path in enumerate(paths):
         photo = first if k == 0 else read_linear(path, coded=coded)
         check_same_size([first, photo])
@@ -77,10 +87,15 @@ def read_set(
                 f"{path}: expected photographs saved alike, got {_bits(photo)}, but {paths[0]} "
                 f"has {_bits(first)} (16-bit data saved as 8-bit lose half of each value)"
             )
+        shots.append((path, photo.settings))
+        check_alike(shots)
         images[k] = torch.from_numpy(photo.linear).movedim(-1, 0)
         saturated[k, 0] = torch.from_numpy(photo.saturated)
         if progress is not None:
             progress((k + 1) / len(paths))
+    brightness = relative_exposures(shots)
+    if brightness is not None:
+        images /= torch.tensor(brightness).view(-1, 1, 1, 1)
     return PhotoSet(images, saturated, tuple(paths))
 
 

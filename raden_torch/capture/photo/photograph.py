@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats32
-from raden_torch.capture.photo.mosaic import demosaiced
 from raden_torch.capture.photo.stored_photograph import (
     Coding,
     bayer_pattern,
@@ -21,8 +20,12 @@ from raden_torch.capture.photo.stored_photograph import (
 )
 from raden_torch.capture.photo.stored_values import LinearValues, linear_values
 from raden_torch.errors import InputError
-from raden_torch.images.colour_space import SRGB_SPACE
+from raden_torch.images.colour_space import SRGB_SPACE, in_srgb
+from raden_torch.images.mosaic import demosaiced
 from raden_torch.images.pixels import read_image
+from raden_torch.images.raw import is_raw
+from raden_torch.images.raw_image import RawColour
+from raden_torch.images.shot_settings import UNKNOWN, ShotSettings
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +41,10 @@ class Photograph:
         path: the file, for messages.
         bits: of one stored value; None for floats.
         exposure_s: as stated, or as the file's EXIF says; None where nobody does.
-        iso, f_number: as EXIF says, else None.
+        settings: of the camera, as EXIF says.
         pattern: the Bayer pattern of a raw mosaic, row by row from the upper left corner ("RGGB").
+        colour: of a raw file, whose `linear` is the camera's own RGB: its way to sRGB's; None
+            where nobody knows it, and for all others.
     """
 
     linear: Floats32
@@ -48,9 +53,9 @@ class Photograph:
     path: Path
     bits: int | None = None
     exposure_s: float | None = None
-    iso: float | None = None
-    f_number: float | None = None
+    settings: ShotSettings = UNKNOWN
     pattern: str | None = None
+    colour: RawColour | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -68,11 +73,12 @@ def read_linear(
     white_level: float | None = None,
     exposure_s: float | None = None,
 ) -> Photograph:
-    """Read a photograph: 8- or 16-bit PNG, JPEG or TIFF, float TIFF, EXR, Radiance HDR, or a raw
-    Bayer mosaic as a TIFF or PNG of one channel.
+    """Read a photograph: 8- or 16-bit PNG, JPEG or TIFF, HEIC, float TIFF, EXR, Radiance HDR, a
+    camera's raw file, or a raw Bayer mosaic as a TIFF or PNG of one channel.
 
     A colour profile (or PNG's colour chunks, or OpenEXR's chromaticities) is followed to linear RGB
-    of sRGB's primaries, except in mosaics and with a response. Alpha is left out.
+    of sRGB's primaries, except in raw files, mosaics and with a response, which stay the camera's
+    own RGB. Alpha is left out.
 
     Args:
         coded: what the stored values mean. "linear": light of the profile's primaries; "srgb": sRGB
@@ -98,7 +104,7 @@ def read_linear(
     found = linear_values(photo, coded, white_level, mosaic)
     if mosaic is None or not keep_mosaic:
         found = _in_colour(found, mosaic)
-    seconds = photo.exposure_s if exposure_s is None else exposure_s
+    seconds = photo.settings.exposure_s if exposure_s is None else exposure_s
     if seconds is not None and not 0 < seconds < np.inf:
         raise InputError(f"{path}: exposure: expected a positive time, got {seconds} s")
     return Photograph(
@@ -108,21 +114,25 @@ def read_linear(
         photo.path,
         photo.bits,
         seconds,
-        photo.iso,
-        photo.f_number,
+        photo.settings,
         mosaic,
+        None if photo.raw is None else photo.raw.colour,
     )
 
 
 def read_stored(path: str | os.PathLike[str]) -> NDArray[Any]:
     """`[H, W, 3]` RGB as stored, for what looks at a picture rather than measures it.
 
-    Float files come as 8-bit sRGB with their brightest hundredth clipped; 16-bit ones as 8-bit.
+    Float and raw files come as 8-bit sRGB with their brightest hundredth clipped; 16-bit ones as
+    8-bit.
 
     Raises:
         InputError: as for `read_linear`.
     """
     path = Path(path)
+    if is_raw(path):
+        photo = read_linear(path)
+        return shown(in_srgb(photo.linear, None if photo.colour is None else photo.colour.to_srgb))
     is_exr = path.suffix.lower() == ".exr"
     pixels: NDArray[Any] = exr_colour(path) if is_exr else read_image(path).rgb
     if pixels.dtype == np.uint8:
@@ -158,7 +168,13 @@ def _in_colour(found: LinearValues, mosaic: str | None) -> LinearValues:
     """`[H, W, 3]` of one channel: a mosaic is demosaiced, a grey picture is grey in all three."""
     linear, rounding, saturated = found.linear, found.rounding, found.saturated
     if mosaic is not None:
-        linear, rounding = demosaiced(linear[..., 0], mosaic), demosaiced(rounding[..., 0], mosaic)
+        linear = demosaiced(linear[..., 0], mosaic)
+        is_even = bool((rounding == rounding.flat[0]).all())  # and stays so
+        rounding = (
+            np.full_like(linear, rounding.flat[0])
+            if is_even
+            else demosaiced(rounding[..., 0], mosaic)
+        )
         saturated = _spread(saturated)
     elif linear.shape[2] == 1:
         linear, rounding = np.repeat(linear, 3, 2), np.repeat(rounding, 3, 2)

@@ -11,10 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats32
-from raden_torch.capture.photo.mosaic import BAYER_PATTERNS, looks_like_mosaic, possible_patterns
 from raden_torch.errors import InputError
-from raden_torch.images.colour_space import ColourSpace, colour_space_of, exr_matrix, float_matrix
-from raden_torch.images.pixels import StoredImage, oriented, read_image
+from raden_torch.images.colour_space import (
+    ColourSpace,
+    colour_space_of,
+    exr_matrix,
+    float_matrix,
+    no_primaries,
+)
+from raden_torch.images.lookup_profile import LookupProfile
+from raden_torch.images.mosaic import (
+    BAYER_PATTERNS,
+    looks_like_mosaic,
+    possible_patterns,
+    turned_cells,
+)
+from raden_torch.images.pixels import StoredImage, read_image
+from raden_torch.images.raw import is_raw, read_raw
+from raden_torch.images.raw_image import RawImage
+from raden_torch.images.shot_settings import UNKNOWN, ShotSettings, positive, settings_of
 
 Coding = Literal["auto", "srgb", "linear"] | NDArray[np.floating[Any]]
 
@@ -35,18 +50,18 @@ class StoredPhotograph:
         matrix: `[3, 3]` from its linear RGB to that of sRGB's primaries; None where they are these.
         pattern: the Bayer pattern by its CFA tag, turned as the picture is.
         white_level: the stored value at which the sensor saturates, by its tags.
-        exposure_s, iso, f_number: by EXIF.
+        settings: of the camera, by EXIF.
+        raw: a camera's raw file, whose `values` these are.
     """
 
     path: Path
     values: NDArray[Any]
-    space: ColourSpace | None = None
+    space: ColourSpace | LookupProfile | None = None
     matrix: NDArray[np.float64] | None = None
     pattern: str | None = None
     white_level: float | None = None
-    exposure_s: float | None = None
-    iso: float | None = None
-    f_number: float | None = None
+    settings: ShotSettings = UNKNOWN
+    raw: RawImage | None = None
 
     @property
     def bits(self) -> int | None:
@@ -61,8 +76,11 @@ def read_photograph(path: Path, coded: Coding = "auto") -> StoredPhotograph:
         InputError: not readable, or whole numbers of which only the low bytes are left.
 
     Warns:
-        UserWarning: a 16-bit file that holds 8-bit values.
+        UserWarning: a 16-bit file that holds 8-bit values; a raw file that asks for corrections
+            which are not made.
     """
+    if is_raw(path):
+        return _raw_photograph(path, coded)
     if path.suffix.lower() == ".exr":
         found = StoredPhotograph(path, exr_colour(path), matrix=exr_matrix(path))
     else:
@@ -84,6 +102,12 @@ def bayer_pattern(photo: StoredPhotograph, stated: str | None) -> str | None:
         raise InputError(
             f"Bayer pattern: expected {', '.join(BAYER_PATTERNS)} or none, got {stated!r}"
         )
+    if photo.raw is not None:
+        if stated is not None:
+            raise InputError(
+                f"{path}: expected no pattern for a raw file, which says its own, got {stated}"
+            )
+        return photo.raw.pattern
     if stored.ndim == 3:
         if stated is not None and stated.upper() != "NONE":
             raise InputError(
@@ -115,9 +139,27 @@ def exr_colour(path: Path) -> Floats32:
     return np.stack([channels[name] for name in names], -1)
 
 
+def _raw_photograph(path: Path, coded: Coding) -> StoredPhotograph:
+    if not isinstance(coded, str) or coded == "srgb":
+        raise InputError(
+            f"{path}: expected a raw file to be linear, got "
+            f"{'sRGB' if isinstance(coded, str) else 'a response'}; leave it out"
+        )
+    raw = read_raw(path)
+    for note in raw.notes:
+        warnings.warn(f"{path}: {note}", stacklevel=5)
+    return StoredPhotograph(
+        path,
+        raw.values,
+        white_level=raw.white,
+        settings=settings_of(raw.tags, is_raw=True),
+        raw=raw,
+    )
+
+
 def _colours(
     path: Path, image: StoredImage, coded: Coding
-) -> tuple[ColourSpace | None, NDArray[np.float64] | None]:
+) -> tuple[ColourSpace | LookupProfile | None, NDArray[np.float64] | None]:
     """What the file says of its colours, and the matrix to sRGB's primaries."""
     if not isinstance(coded, str):
         return None, None
@@ -125,6 +167,10 @@ def _colours(
     if image.pixels.dtype.kind == "f":
         return None, float_matrix(tags, path, is_linear=coded == "linear")
     space = colour_space_of(tags, path)
+    if isinstance(space, LookupProfile):
+        if coded != "auto":
+            raise no_primaries(path)
+        return space, None
     return space, None if space is None else space.matrix
 
 
@@ -154,21 +200,11 @@ def _check_whole(path: Path, stored: NDArray[Any]) -> None:
 
 def _metadata(image: StoredImage) -> dict[str, Any]:
     """The values of EXIF and TIFF tags; empty where there are none."""
-    said: dict[str, Any] = {}
     inner = image.header.tags
-    for name, tag in (
-        ("exposure_s", 33434),
-        ("f_number", 33437),
-        ("iso", 34855),
-        ("white_level", 50717),
-    ):
-        value: Any = inner.get(tag)
-        try:
-            number = float(value[0] if isinstance(value, tuple) else value)
-        except (TypeError, ValueError, ZeroDivisionError, IndexError):
-            continue
-        if 0 < number < np.inf:
-            said[name] = number
+    said: dict[str, Any] = {"settings": settings_of(inner)}
+    white = positive(inner.get(50717))
+    if white is not None:
+        said["white_level"] = white
     cells = inner.get(33422)  # TIFF/EP CFAPattern: 0 red, 1 green, 2 blue
     if isinstance(cells, (bytes, tuple)) and len(cells) == 4 and set(cells) <= {0, 1, 2}:
         word = "".join("RGB"[int(c)] for c in cells)
@@ -182,6 +218,5 @@ def _turned(pattern: str, image: StoredImage) -> str:
     way, (height, width) = image.header.orientation, image.pixels.shape[:2]
     if way >= 5:
         height, width = width, height
-    rows, columns = np.ogrid[: 2 + height % 2, : 2 + width % 2]
-    corner = oriented(np.array(list(pattern))[2 * (rows % 2) + columns % 2], way)[:2, :2]
-    return "".join(corner.ravel())
+    turned = turned_cells(np.array(list(pattern)).reshape(2, 2), way, (height, width))
+    return "".join(turned.ravel())

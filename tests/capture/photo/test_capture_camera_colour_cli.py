@@ -15,8 +15,8 @@ import pytest
 from raden_torch.capture.photo.board import Board
 from raden_torch.capture.photo.capture_colour import capture_colour
 from raden_torch.capture.photo.development import Development
-from raden_torch.capture.photo.mosaic import colour_masks
 from raden_torch.errors import InputError
+from raden_torch.images.mosaic import colour_masks
 
 BOARD = ("--squares", "5x7", "--square", "0.04", "--marker", "0.02")
 

@@ -15,6 +15,7 @@ from raden_torch.capture.photo.exposure_weights import Noise
 from raden_torch.capture.photo.exposures import merge_exposures
 from raden_torch.capture.photo.photograph import Photograph, read_linear
 from raden_torch.errors import InputError
+from raden_torch.images.shot_settings import ShotSettings
 
 TIMES = (0.01, 0.04, 0.16, 0.64)
 
@@ -86,14 +87,16 @@ def test_what_may_not_differ() -> None:
     one, two = (exposed(light, t, noise=noise, name=f"{i}.tif") for i, t in enumerate(TIMES[:2]))
     for change, message in (
         ({"exposure_s": None}, r"1\.tif: no exposure time"),
-        ({"iso": 400.0}, r"1\.tif: expected ISO 100 as in 0\.tif, got 400"),
-        ({"f_number": 8.0}, "expected aperture f/ 4 as in 0\\.tif, got 8"),
+        ({"settings": ShotSettings(iso=400.0)}, r"1\.tif: expected ISO 100 as in 0\.tif, got 400"),
+        ({"settings": ShotSettings(f_number=8.0)}, "expected aperture f/ 4 as in 0\\.tif, got 8"),
         ({"bits": 8}, r"1\.tif: 8 bits"),
         ({"linear": one.linear[:50], "saturated": one.saturated[:50]}, "96 x 50 pixels"),
     ):
-        second = replace(two, iso=100.0, f_number=4.0)
+        first, second = (
+            replace(p, settings=ShotSettings(iso=100.0, f_number=4.0)) for p in (one, two)
+        )
         with pytest.raises(InputError, match=message):
-            merge_exposures([replace(one, iso=100.0, f_number=4.0), replace(second, **change)])
+            merge_exposures([first, replace(second, **change)])
     with pytest.raises(InputError, match="at least one"):
         merge_exposures([])
 

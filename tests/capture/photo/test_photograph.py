@@ -12,16 +12,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from raden_torch.capture.photo.mosaic import (
+from raden_torch.capture.photo.photograph import check_same_size, read_linear, read_stored
+from raden_torch.errors import InputError
+from raden_torch.images.exr import write_channels
+from raden_torch.images.mosaic import (
     BAYER_PATTERNS,
     colour_masks,
     demosaiced,
     looks_like_mosaic,
     possible_patterns,
 )
-from raden_torch.capture.photo.photograph import check_same_size, read_linear, read_stored
-from raden_torch.errors import InputError
-from raden_torch.images.exr import write_channels
 
 H, W = 24, 32
 
@@ -92,8 +92,8 @@ def test_exif_is_read(tmp_path: Path) -> None:
     Image.fromarray(ramp(255)).save(tmp_path / "a.jpg", exif=exif)
     photo = read_linear(tmp_path / "a.jpg")
     assert photo.exposure_s == pytest.approx(1 / 60, rel=1e-4)
-    assert photo.f_number == pytest.approx(5.6)
-    assert photo.iso == 200
+    assert photo.settings.f_number == pytest.approx(5.6)
+    assert photo.settings.iso == 200
     assert read_linear(tmp_path / "a.jpg", exposure_s=2.0).exposure_s == 2.0
     with pytest.raises(InputError, match="a positive time"):
         read_linear(tmp_path / "a.jpg", exposure_s=-1.0)

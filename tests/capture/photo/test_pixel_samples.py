@@ -45,6 +45,8 @@ from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.colorimetry import D65_XYZ
 from raden_torch.errors import InputError
+from raden_torch.images.raw_image import RawColour
+from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 
 SIZE = (140, 160)
 BALL = Sphere(np.array([80.0, -70.0, 0.0]), 50.0)
@@ -242,6 +244,14 @@ def test_the_white_comes_out_as_its_own_factor() -> None:
     np.testing.assert_allclose(given.slopes(u[:2]), np.broadcast_to(slopes, (2, 3, 3)), rtol=1e-3)
     plain = NodeColour.of(None, scale)
     np.testing.assert_allclose(plain.factors(u)[:2], u[:2] * plain.white)
+    # a raw file's own way to sRGB is such a correction
+    own = RawColour(np.linalg.inv(xyz_to_rgb_matrix()).T, np.array([2.0, 1.0, 1.6]), "the file")
+    by_file = NodeColour.of(None, scale, own)
+    assert by_file.channels == ("X", "Y", "Z")
+    as_given = ColourCorrection("least squares", np.linalg.inv(xyz_to_rgb_matrix()) @ own.to_srgb)
+    same = NodeColour(as_given, scale.mean_rgb, scale.xyz, 0.0, ("X", "Y", "Z"))
+    np.testing.assert_allclose(by_file.factors(u), same.factors(u))
+    np.testing.assert_allclose(by_file.factors(np.ones((1, 3)))[0], scale.xyz, rtol=1e-6)
     # the white's RGB is that of 0.9 D65: neutral
     np.testing.assert_allclose(plain.white, 90, rtol=1e-3)
 

@@ -11,6 +11,7 @@ from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.capture.photo.colour import ColourCorrection, ColourFile, read_colour
 from raden_torch.capture.photo.result_file import read_result
+from raden_torch.images.raw_image import RawColour
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.measurement.readings import RGB, XYZ
 
@@ -40,12 +41,16 @@ class NodeColour:
     channels: tuple[str, ...]
 
     @classmethod
-    def of(cls, path: Path | None, scale: Scale) -> NodeColour:
-        """From a colour file.
+    def of(cls, path: Path | None, scale: Scale, own: RawColour | None = None) -> NodeColour:
+        """From a colour file; without one, from what raw files say of their colours.
 
         Raises:
             InputError: not such a file.
         """
+        if path is None and own is not None:
+            to_xyz = np.linalg.inv(xyz_to_rgb_matrix()) @ own.to_srgb
+            correction = ColourCorrection("least squares", to_xyz)
+            return cls(correction, scale.mean_rgb, scale.xyz, 0.0, XYZ)
         if path is None:
             rgb = scale.xyz @ xyz_to_rgb_matrix().T
             return cls(None, scale.mean_rgb, rgb, 0.0, RGB)

@@ -18,6 +18,8 @@ from raden_torch.capture.photo.exposures import CEILING, unsaturated
 from raden_torch.capture.photo.lamps import read_lamps
 from raden_torch.capture.photo.result_file import read_result
 from raden_torch.errors import InputError
+from raden_torch.images.raw_image import RawColour
+from raden_torch.images.shot_settings import UNKNOWN, ShotSettings, check_alike
 
 _MOST_PIXELS = 400_000_000
 
@@ -32,6 +34,7 @@ class PhotoSeries:
         camera: None where it is far away.
         exponent: of the camera's response, as the lights file says; 1 where it is linear.
         size: height and width of every photograph.
+        colour: of raw files, the first one's; None for others.
     """
 
     shots: list[Shot]
@@ -39,6 +42,7 @@ class PhotoSeries:
     camera: Camera | None
     exponent: float
     size: tuple[int, int]
+    colour: RawColour | None = None
 
     @property
     def names(self) -> list[str]:
@@ -53,11 +57,15 @@ class Frame:
         radiance: `[H, W, 3]` linear, relative to the white level, per second where times are known.
         usable: `[H, W]`: not saturated, nor beside a saturated pixel.
         timed: the unit is per second.
+        settings: of the camera, by EXIF.
+        colour: of a raw file.
     """
 
     radiance: NDArray[np.float32]
     usable: NDArray[np.bool_]
     timed: bool
+    settings: ShotSettings = UNKNOWN
+    colour: RawColour | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -76,25 +84,26 @@ def read_series(photographs: Sequence[Path], setup: CaptureSetup) -> PhotoSeries
     poses = _poses(setup.camera)
     shots = shots_of(photographs, setup, lamps, poses)
     of_shots = lamps_of_shots(lamps, shots, camera, setup, _seen_in(setup, poses))
-    size = read_frame(shots[0]).size
+    frame = read_frame(shots[0])
+    size = frame.size
     if camera is not None and camera.size != size:
         (h, w), (height, width) = camera.size, size
         raise InputError(
             f"{setup.camera}: expected the camera that took the photographs, at their size of "
             f"{width} x {height} pixels, got one of {w} x {h}"
         )
-    return PhotoSeries(shots, of_shots, camera, lamps.exponent, size)
+    return PhotoSeries(shots, of_shots, camera, lamps.exponent, size, frame.colour)
 
 
 def linear_frames(series: PhotoSeries) -> Iterator[Frame]:
     """The photographs in linear light, one after another.
 
     Raises:
-        InputError: as for `read_frame`; another size than the first's; exposure times for some
-            only.
+        InputError: as for `read_frame`; another size, camera, lens, zoom or white balance than the
+            others'; exposure times for some only.
     """
     first = series.shots[0]
-    timed = None
+    timed, settings = None, list[tuple[Path, ShotSettings]]()
     for shot in series.shots:
         frame = read_frame(shot, series.exponent)
         if frame.size != series.size:
@@ -103,6 +112,8 @@ def linear_frames(series: PhotoSeries) -> Iterator[Frame]:
                 f"{shot.files[0]}: expected photographs of one size, got {width} x {height} "
                 f"pixels, but {first.name} has {w} x {h}"
             )
+        settings.append((shot.files[0], frame.settings))
+        check_alike(settings)
         timed = frame.timed if timed is None else timed
         if frame.timed != timed:
             raise InputError(
@@ -129,7 +140,8 @@ def read_frame(shot: Shot, exponent: float = 1.0) -> Frame:
     if merged is None and photo.exposure_s is not None:
         linear = linear / np.float32(photo.exposure_s)
     timed = merged is not None or photo.exposure_s is not None
-    return Frame(np.asarray(linear, np.float32), usable, timed)
+    light = np.asarray(linear, np.float32)
+    return Frame(light, usable, timed, photo.settings, photo.colour)
 
 
 def _poses(path: Path | None) -> dict[str, Pose]:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -16,6 +17,9 @@ import pytest
 from raden_torch.capture.exchange import load_measurement
 from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
 from raden_torch.capture.photo.brdf.chart_white import chart_white
+from raden_torch.images.mosaic import colour_masks
+from raden_torch.images.raw import read_raw
+from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -73,6 +77,39 @@ def test_the_command_and_its_files(sphere: Any, tmp_path: Path) -> None:
     assert report["samples"] > 30_000
     assert len(report["photographs"]) == 9
     assert min(cv2.imread(str(out.with_suffix(".png"))).shape[:2]) > 500
+
+
+@pytest.mark.slow
+def test_raw_files_without_a_colour_file(
+    raden: Command, sphere: Any, dng: ModuleType, tmp_path: Path
+) -> None:
+    """Expected: XYZ by the matrix in the files, whatever the balance, and a note that says so."""
+    series = sphere.series(lamps=sphere.triples, radius=70.0, exposure=0.5, noise=0.001)
+    black, raws = 1024, []
+    for path in series.photos:
+        rgb = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1] / 65535
+        masks = colour_masks("GRBG", *rgb.shape[:2])
+        mosaic = sum(rgb[..., i] * masks[c] for i, c in enumerate("RGB"))
+        stored = np.rint(black + (65535 - black) * mosaic).astype(np.uint16)
+        raw = path.with_suffix(".dng")
+        raws.append(dng.write_dng(raw, stored, pattern="GRBG", black=black, neutral=(0.8, 1, 0.5)))
+    out = tmp_path / "shell.csv"
+    done = raden(
+        *("capture", "brdf", *raws, "--shape", "sphere", "--mask", series.mask),
+        *("--lights", series.lights, "--white-mask", series.white, "--white-factor", 90),
+        *("--simulated", "--lamp-std", 0.1, "-o", out),
+    )
+    assert done.returncode == 0, done.stderr
+    assert "colours by the matrix of the file and the white balance as shot" in done.stdout
+    m = load_measurement(out)
+    assert m.channels == ("X", "Y", "Z")
+    colour = read_raw(raws[0]).colour
+    assert colour is not None
+    to_xyz = np.linalg.inv(xyz_to_rgb_matrix()) @ colour.to_srgb
+    white = np.array([95.047, 100.0, 108.883])
+    truth = sphere.truth() @ to_xyz.T / to_xyz.sum(axis=1) * white / 100
+    relative = np.abs(m.values / truth - 1).max(axis=1)[m.valid]
+    assert np.median(relative) < 0.015
 
 
 def test_what_is_wrong_is_one_line_and_no_file(raden: Command, sphere: Any, tmp_path: Path) -> None:

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.images.pixels import oriented
+from raden_torch.packages import require
+
 BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """The colour of the pixels (0, 0), (0, 1), (1, 0), (1, 1): row by row from the upper left."""
 
@@ -18,26 +21,41 @@ def colour_masks(pattern: str, height: int, width: int) -> dict[str, NDArray[np.
     return {colour: cells == colour for colour in "RGB"}
 
 
+def turned_cells(cells: NDArray[Any], orientation: int, size: tuple[int, int]) -> NDArray[Any]:
+    """`[2, 2]` at the upper left of a mosaic that is turned as EXIF's orientation says.
+
+    Args:
+        cells: `[2, 2]`, what repeats in the mosaic as it is stored.
+        size: its height and width as it is stored.
+    """
+    rows, columns = np.ogrid[: 2 + size[0] % 2, : 2 + size[1] % 2]
+    return oriented(cells[rows % 2, columns % 2], orientation)[:2, :2]
+
+
 def demosaiced(mosaic: NDArray[Any], pattern: str) -> NDArray[np.float32]:
     """`[H, W]` → `[H, W, 3]` by bilinear interpolation of each colour's own pixels.
 
     Linear in the values, unlike edge-directed methods: dark frames, flat fields and exposures may
-    be combined before or after. Written as a normalised convolution, so that borders need no rule.
+    be combined before or after. Mirrored at its borders, a mosaic goes on in its own pattern.
     """
+    require("mosaics", "images")
     import cv2
 
-    tent = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]], np.float32) / 4
+    tent = np.array([0.5, 1, 0.5], np.float32)
     cross = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]], np.float32) / 4  # green lies on diagonals
-    planes = []
-    for colour, mask in colour_masks(pattern, *mosaic.shape).items():
-        there = mask.astype(np.float32)
-        kernel = cross if colour == "G" else tent
-        both = (
-            cv2.filter2D(plane, -1, kernel, borderType=cv2.BORDER_CONSTANT)
-            for plane in (mosaic.astype(np.float32) * there, there)
-        )
-        planes.append(np.divide(*both))
-    return np.stack(planes, -1)
+    found = np.empty((*mosaic.shape, 3), np.float32)
+    for number, colour in enumerate("RGB"):
+        plane = np.zeros(mosaic.shape, np.float32)
+        for cell in (k for k, name in enumerate(pattern) if name == colour):
+            own = np.s_[cell // 2 :: 2, cell % 2 :: 2]
+            plane[own] = mosaic[own]
+        border = cv2.BORDER_REFLECT_101
+        if colour == "G":
+            plane = cv2.filter2D(plane, -1, cross, borderType=border)
+        else:
+            plane = cv2.sepFilter2D(plane, -1, tent, tent, borderType=border)
+        found[..., number] = plane
+    return found
 
 
 def looks_like_mosaic(pixels: NDArray[Any]) -> bool:
