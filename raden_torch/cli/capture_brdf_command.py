@@ -31,7 +31,6 @@ def brdf(
     result: ResultOptions = ResultOptions(),
 ) -> None:
     from raden_torch.capture.photo.brdf.photo_brdf_file import output_paths, write_brdf
-    from raden_torch.capture.photo.brdf.photo_cells import CellGrid
     from raden_torch.capture.photo.capture_brdf import capture_brdf
     from raden_torch.measurement import Metadata
     from raden_torch.plots.coverage_figure import draw_captured
@@ -50,12 +49,13 @@ def brdf(
             sample.sample,
             place,
             factor,
-            grid=CellGrid(result.step_deg),
+            grid=result.grid(),
+            scattered=result.scattered,
             metadata=Metadata(result.name or output.stem, simulated=result.simulated),
             go_on=result.go_on,
             progress=share_done,
         )
-    found.measurement.save(output)
+    (found.read if result.scattered else found.measurement).save(output)
     write_brdf(found, report)
     save_plot(draw_captured(found), shown)
     print(found)

@@ -15,6 +15,7 @@ from raden_torch.errors import InputError
 if TYPE_CHECKING:
     from raden_torch.arrays import Floats
     from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
+    from raden_torch.capture.photo.brdf.photo_cells import CellGrid
     from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
 
 
@@ -139,9 +140,20 @@ class ResultOptions:
 
     step_deg: float = 5.0
     """step of the grid, degrees"""
+    scattered: bool = False
+    """each cell's value at its samples' own angles, and no empty cells: of a flat piece, which
+    shows little of each cell; `raden fit --assume isotropic+reciprocal` fits these"""
     name: str = ""
     """name of the sample"""
     simulated: bool = False
     """label the measurement as simulated: the photographs were computed"""
     go_on: bool = False
     """only warn where photographs contradict each other or moved"""
+
+    def grid(self) -> CellGrid:
+        from raden_torch.capture.photo.brdf.photo_cells import CellGrid
+        from raden_torch.capture.photo.capture_brdf import SCATTERED_TO_DEG
+
+        return (
+            CellGrid(self.step_deg, SCATTERED_TO_DEG) if self.scattered else CellGrid(self.step_deg)
+        )
