@@ -39,7 +39,7 @@ def brdf(
     report, shown = output_paths(output, picture)
     beside = (sample.mask, white.white_mask, *reading.files)
     used = without_other_inputs(photos, *beside)
-    files = (setup.lights, setup.camera, setup.colour, white.white_file)
+    files = (setup.lights, setup.camera, setup.colour, setup.plan, white.white_file)
     check_outputs(output, report, shown, inputs=(*used, *beside, *files))
     place, factor = white.white(setup.colour)
     with progress("reading the photographs") as share_done:
@@ -52,6 +52,7 @@ def brdf(
             grid=result.grid(),
             scattered=result.scattered,
             metadata=Metadata(result.name or output.stem, simulated=result.simulated),
+            plan=setup.plan,
             go_on=result.go_on,
             progress=share_done,
         )

@@ -173,6 +173,14 @@ def likely_lengths(readings: LogReadings, assume: str | None) -> Lengths:
     return _lengths(found.x)
 
 
+def symmetric_images(angles_deg: Floats, assume: str | None) -> Floats:
+    """`[N, 3]`: every name of geometries `[M, 3]` under the declared symmetries."""
+    a, r, t = np.asarray(angles_deg, np.float64).T
+    places = np.stack([(a + r) / 2, (r - a) / 2, t], axis=1)
+    s, u, t = np.concatenate([places * signs for signs in _IMAGES[assume]]).T
+    return np.stack([s - u, s + u, t], axis=1)
+
+
 def _lengths(logs: Floats) -> Lengths:
     s, u, t, narrow, noise = np.exp(logs).tolist()
     return Lengths((s, u, t), narrow, noise)

@@ -30,6 +30,7 @@ from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
 from raden_torch.capture.photo.brdf.seen_surface import fixed_surface, normal_std_deg
 from raden_torch.capture.photo.brdf.shots import Shot
+from raden_torch.capture.photo.guide.plan_check import check_planned
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import LEAST_COVERAGE
@@ -97,6 +98,7 @@ def capture_brdf(
     grid: CellGrid | None = None,
     metadata: Metadata | None = None,
     scattered: bool = False,
+    plan: Path | None = None,
     go_on: bool = False,
     progress: Progress | None = None,
 ) -> CapturedBrdf:
@@ -106,8 +108,9 @@ def capture_brdf(
         grid: None: steps of 5 up to 70 degrees, or, scattered, up to 80.
         scattered: each cell's value is that amid its samples, at their own angles; as of a flat
             piece, which shows little of each cell.
+        plan: of `raden capture guide`, by which the photographs were taken.
         go_on: warn instead of raising where the sample seems to have moved, or photographs
-            contradict each other.
+            contradict each other or their plan.
         progress: called with the share that is done, 0…1.
 
     Raises:
@@ -117,6 +120,8 @@ def capture_brdf(
     """
     grid = grid or (CellGrid(limit_deg=SCATTERED_TO_DEG) if scattered else CellGrid())
     series = read_series(photographs, setup)
+    unplanned = None if plan is None else check_planned(plan, series, sample)
+    warned = _raised_or_warned([unplanned], go_on=go_on)
     fixed = fixed_surface(series, sample)
     views = photo_views(series, sample, fixed)
     first = first_pass(_reported(views, series, progress, 0.0), series, white, factor, grid)
@@ -124,7 +129,7 @@ def capture_brdf(
     lamp_std_deg = np.array([lamp.std_deg for lamp in series.lamps])
     agreed = agreement(first.kept, fit, first.scale, grid, lamp_std_deg)
     doubts = [moved(first.edges, series.names), agreed.contradiction(series.names)]
-    warned = _raised_or_warned(doubts, go_on=go_on)
+    warned += _raised_or_warned(doubts, go_on=go_on)
 
     views = photo_views(series, sample, fixed)
     half = _reported(views, series, progress, 0.5)

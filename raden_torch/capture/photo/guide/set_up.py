@@ -44,7 +44,7 @@ class SetUp:
     camera_deg: float = 40.0
     lamp_mm: tuple[float, float] = (300.0, 600.0)
     camera_to_deg: float = 60.0
-    lamp_to_deg: float = 75.0
+    lamp_to_deg: float = 70.0
 
     def __post_init__(self) -> None:
         if self.kind not in SET_UPS:
