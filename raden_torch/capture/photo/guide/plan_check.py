@@ -69,7 +69,7 @@ def _check_piece(path: Path, plan: PlanFile, sample: SampleSpec) -> None:
     sizes = [np.sort(MM * np.ptp(region[:, :2], axis=0)) for region in sample.regions_m]
     ratio = max(sizes, key=lambda size: float(size[1])) / np.sort(plan.size_mm)
     if ratio.max() > _OTHER_SIZE or ratio.max() < 1 / _OTHER_SIZE:
-        width, height = sizes[0]
+        height, width = sizes[0]
         raise InputError(
             f"{path}: it is a plan for {plan.piece}, got a region of {width:.0f} x {height:.0f} "
             "mm; a plan for another sample"

@@ -132,7 +132,8 @@ def stances(set_up: SetUp, reach_mm: float, *, most: int = 2500) -> list[Stance]
 def _table(set_up: SetUp) -> list[tuple[float, ...]]:
     """turn, wedge, lamp's angle, azimuth and distance, camera's angle, azimuth and distance."""
     low, high = set_up.lamp_mm
-    reaches = sorted({low, 10 * round((low * high) ** 0.5 / 10), high})
+    middle = 10.0 * round((low * high) ** 0.5 / 10)
+    reaches = sorted({low, min(max(middle, low), high), high})
     lamps = [
         (angle, azimuth, reach)
         for angle in np.arange(0, 90, _LAMP_STEP_DEG)
