@@ -63,7 +63,10 @@ def _draw_places(ax: Axes, plan: Plan, *, up: int, title: str) -> None:
     start = {HAND: "mark"}.get(plan.set_up.kind, "camera's side")
     ax.set_xlabel(f"0 deg: the {start} →" if up == 1 else "", fontsize=SMALL)
     ax.set_title(title, fontsize=SMALL, color=INK)
-    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_aspect("equal", adjustable="box")
+    reach = 1.08 * float(np.linalg.norm(np.concatenate([lamps, cameras]), axis=1).max())
+    ax.set_xlim(-reach, reach)
+    ax.set_ylim(-reach if up == 1 else -0.12 * reach, reach)
     ax.tick_params(labelsize=SMALL - 1, length=2)
     if up == 1:
         ax.legend(fontsize=SMALL - 1, loc="upper left", frameon=False)

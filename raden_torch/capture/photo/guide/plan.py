@@ -101,7 +101,7 @@ def plan_photographs(
         )
     ):
         raise InputError(
-            "set-up: expected the camera or the piece moved (hand or turntable), since a flat "
+            "set_up: expected the camera or the piece moved (hand or turntable), since a flat "
             f"piece shows one place of the camera too little, got {set_up.kind!r}"
         )
     known, lengths, std = _known(measured, assume)
@@ -114,7 +114,7 @@ def plan_photographs(
         readings, known, count, lengths=lengths, assume=assume, progress=progress
     )
     if not chosen:
-        raise InputError("set-up: expected a lamp that lights what the camera sees, got none")
+        raise InputError("set_up: expected a lamp that lights what the camera sees, got none")
     return Plan(
         name,
         piece,

@@ -38,23 +38,34 @@ def check_planned(path: Path, series: PhotoSeries, sample: SampleSpec) -> str | 
         )
     planned = np.array([_angles(np.array(p.lamp_mm), np.array(p.camera_mm))
                         for p in plan.photographs])  # fmt: skip
-    taken = [_taken(series, k, sample) for k in range(len(series.shots))]
-    for k, angles in enumerate(taken):
+    for k, number in enumerate(_numbers(series, len(planned))):
+        angles = _taken(series, k, sample)
         known = np.isfinite(angles)
+        if not known.any():
+            continue
         off = abs(planned - angles)[:, known].max(axis=1)
-        if off[k] <= _OFF_DEG:
+        if off[number] <= _OFF_DEG:
             continue
         best = int(off.argmin())
         if off[best] <= _OFF_DEG:
             return (
-                f"{series.names[k]}: it is photograph {k + 1}, but was taken as number {best + 1} "
-                f"of {path}; give the photographs in the plan's order"
+                f"{series.names[k]}: it is given as number {number + 1} of {path}, but was taken "
+                f"as number {best + 1}; give the photographs in the plan's order, or leave it out "
+                "if its lamp was not found where it stood"
             )
         return (
-            f"{series.names[k]}: lamp or camera stood {off[k]:.0f} deg from where number {k + 1} "
-            f"of {path} has them; a plan for another sample, or take the photograph again"
+            f"{series.names[k]}: lamp or camera stood {off[number]:.0f} deg from where number "
+            f"{number + 1} of {path} has them; a plan for another sample, or take it again"
         )
     return None
+
+
+def _numbers(series: PhotoSeries, planned: int) -> list[int]:
+    """Which of the plan each photograph is, from 0: each has its own lamp, so the lamp says; where
+    lamps stand for several photographs, their order does."""
+    lamps = [shot.lamp for shot in series.shots]
+    own = len(set(lamps)) == len(lamps) and max(lamps) < planned
+    return lamps if own else list(range(len(lamps)))
 
 
 def _check_piece(path: Path, plan: PlanFile, sample: SampleSpec) -> None:

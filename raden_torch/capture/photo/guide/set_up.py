@@ -48,7 +48,7 @@ class SetUp:
 
     def __post_init__(self) -> None:
         if self.kind not in SET_UPS:
-            raise InputError(f"set-up: expected {', '.join(SET_UPS)}, got {self.kind!r}")
+            raise InputError(f"set_up: expected {', '.join(SET_UPS)}, got {self.kind!r}")
         low, high = self.lamp_mm
         if not 0 < low <= high < 1e5:
             raise InputError(
@@ -118,7 +118,7 @@ def stances(set_up: SetUp, reach_mm: float, *, most: int = 2500) -> list[Stance]
     kept = table[_possible(set_up, table, reach_mm)]
     if not len(kept):
         raise InputError(
-            "set-up: expected limits that leave a place for lamp and camera, got none; allow the "
+            "set_up: expected limits that leave a place for lamp and camera, got none; allow the "
             "lamp a greater distance or angle, or the camera another angle"
         )
     rows = np.random.default_rng(0).permutation(len(kept))[:most]

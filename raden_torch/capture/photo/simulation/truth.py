@@ -99,7 +99,7 @@ def commands(plan: PhotoPlan, names: Mapping[str, Sequence[str]], stack: int) ->
         numbers = " ".join(f"--lamp {shot.lamp + 1}" for shot in plan.shots)
         seen_in, more = names["lamp"][0], ""
         if plan.reference is not None:
-            seen_in, numbers, more = names["chart"][-1], "", f" {names['chart'][-1]}"
+            seen_in, more = names["chart"][-1], f" {names['chart'][-1]}"
             brdf = f"--plan {plan.plan} --scattered {brdf}"
         region, white = (
             " ".join(f"{x:g},{y:g}" for x, y in place["region_m"])
