@@ -13,7 +13,7 @@ from raden_torch.reflectance.log_readings import FLOOR, LUMINANCE, LogReadings
 from raden_torch.reflectance.scattered import nodes_read
 from raden_torch.reflectance.symmetric_kriging import RECIPROCAL, SymmetricKriging
 
-MANY = 5000
+MANY = 20_000
 """Readings: as many are told apart by their neighbours (`kriging`) instead."""
 GRID = AngleGrid(
     np.arange(0.0, 81.0, STEP_DEG),

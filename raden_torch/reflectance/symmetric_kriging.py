@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from raden_torch.arrays import Floats, Ints, group_sums
+from raden_torch.arrays import Floats, Ints
 from raden_torch.errors import InputError
 from raden_torch.reflectance.grid import distinct
 from raden_torch.reflectance.log_readings import LUMINANCE, LogReadings
@@ -28,7 +28,7 @@ ISOTROPIC, RECIPROCAL = "isotropic", "isotropic+reciprocal"
 ASSUMPTIONS = (ISOTROPIC, RECIPROCAL)
 """What may be declared of a sample."""
 FEWEST, MOST = 6, 2500
-"""Readings: fewer tell nothing, more are merged with their nearest first."""
+"""Readings: fewer tell nothing; of more, those beside another are left out."""
 
 _ALL = tuple(np.array(signs) for signs in itertools.product((1.0, -1.0), repeat=3))
 _IMAGES = {
@@ -43,7 +43,7 @@ _BOUNDS = ((2.0, 5.7), (1.0, 5.0), (1.0, 5.0), (0.7, 5.0), (-12.0, 0.0))
 _LEARNT_FROM = 300  # readings: enough for five numbers
 _NUGGET = 1e-8
 _AT_ONCE = 500  # queries
-_MERGED_FROM_DEG, _GROWING = 1.0, 1.25
+_THINNED_FROM_DEG, _GROWING = 1.0, 1.1
 
 
 @dataclass(frozen=True)
@@ -122,16 +122,16 @@ class SymmetricKriging:
                 f"measurement: expected at least {FEWEST} readings at different angles, got "
                 f"{len(readings.logs)}"
             )
-        merged = _merged(readings)
-        lengths = lengths or likely_lengths(merged, assume)
-        factor = _factor(merged, lengths, assume)
-        logs = solve_triangular(factor, merged.logs, lower=True)
-        ones = solve_triangular(factor, np.ones(len(merged.logs)), lower=True)
+        thinned = _thinned(readings)
+        lengths = lengths or likely_lengths(thinned, assume)
+        factor = _factor(thinned, lengths, assume)
+        logs = solve_triangular(factor, thinned.logs, lower=True)
+        ones = solve_triangular(factor, np.ones(len(thinned.logs)), lower=True)
         mean = ones @ logs / (ones @ ones)
         left = logs - ones[:, None] * mean
         variance = float((left[:, LUMINANCE] ** 2).mean())
         dual = solve_triangular(factor.T, left, lower=False)
-        return cls(assume, lengths, merged.angles_deg, variance, factor, mean, dual, ones)
+        return cls(assume, lengths, thinned.angles_deg, variance, factor, mean, dual, ones)
 
     def __call__(self, angles_deg: Floats) -> Floats:
         """`[N, 3]` → logarithms `[N, C]`."""
@@ -211,24 +211,24 @@ def _factor(readings: LogReadings, lengths: Lengths, assume: str | None) -> Floa
     return np.asarray(cholesky(covariance, lower=True, overwrite_a=True))
 
 
-def _merged(readings: LogReadings) -> LogReadings:
-    """At most `MOST`: those that lie within a small cube of angles become their mean."""
-    side = _MERGED_FROM_DEG
+def _thinned(readings: LogReadings) -> LogReadings:
+    """At most `MOST`: of those that lie within a small cube of angles the surest one."""
+    side = _THINNED_FROM_DEG
     while len(readings.logs) > MOST:
         _, index = distinct(np.floor(readings.angles_deg / side))
-        count = np.bincount(index)
-        columns = np.c_[readings.angles_deg, readings.noise, readings.logs]
-        mean = group_sums(columns, index, len(count)) / count[:, None]
-        readings = replace(
-            readings, angles_deg=mean[:, :3], noise=mean[:, 3] / count, logs=mean[:, 4:]
-        )
+        surest = np.lexsort((readings.noise, index))
+        first = np.flatnonzero(np.diff(index[surest], prepend=-1))
+        readings = _rows(readings, surest[first])
         side *= _GROWING
     return readings
 
 
 def _some(readings: LogReadings) -> LogReadings:
     """`_LEARNT_FROM` of them at most, at random."""
-    rows: Ints = np.random.default_rng(0).permutation(len(readings.logs))[:_LEARNT_FROM]
+    return _rows(readings, np.random.default_rng(0).permutation(len(readings.logs))[:_LEARNT_FROM])
+
+
+def _rows(readings: LogReadings, rows: Ints) -> LogReadings:
     return replace(
         readings,
         angles_deg=readings.angles_deg[rows],

@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, result: FitResult) -> Path:
     _write_images(path)
     rt.save_model(result.model, path / "shell.safetensors")
     whole = (path / "shell.safetensors").read_bytes()
-    (path / "half.safetensors").write_bytes(whole[: len(whole) // 2])
+    (path / "half.safetensors").write_bytes(whole[: len(whole) * 3 // 4])
     save_file({"weight": torch.ones(3)}, path / "network.safetensors")
     torch.save({"weight": torch.ones(3)}, path / "network.pt")
     (path / "scene.toml").write_text("[camera\nfov_deg = 30\n")

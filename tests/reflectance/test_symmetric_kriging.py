@@ -104,7 +104,7 @@ def test_a_plane_or_a_view_is_not_all_around() -> None:
     assert all_around(FEW)
 
 
-def test_many_readings_are_merged_and_too_few_refused() -> None:
+def test_many_readings_are_thinned_and_too_few_refused() -> None:
     dense = hemisphere_deg(MOST + 500, seed=6)
     logs = LogReadings.of(dense, np.full((len(dense), 3), 50.0))
     assert len(SymmetricKriging.of(logs, RECIPROCAL, Lengths()).angles_deg) <= MOST
