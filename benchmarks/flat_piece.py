@@ -331,6 +331,8 @@ def draw(files: list[Path], path: Path) -> None:
     ax.set_ylabel("median error of Y over the hemisphere (%)")
     ax.set_yscale("log")
     ax.set_xlim(0)
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter("{x:g}")
     ax.grid(color="0.9", which="both", linewidth=0.5)
     ax.legend(fontsize=8)
     ax.set_title("simulated shells", fontsize=9)
