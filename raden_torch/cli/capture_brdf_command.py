@@ -31,7 +31,6 @@ def brdf(
     result: ResultOptions = ResultOptions(),
 ) -> None:
     from raden_torch.capture.photo.brdf.photo_brdf_file import output_paths, write_brdf
-    from raden_torch.capture.photo.brdf.photo_cells import CellGrid
     from raden_torch.capture.photo.capture_brdf import capture_brdf
     from raden_torch.measurement import Metadata
     from raden_torch.plots.coverage_figure import draw_captured
@@ -40,7 +39,7 @@ def brdf(
     report, shown = output_paths(output, picture)
     beside = (sample.mask, white.white_mask, *reading.files)
     used = without_other_inputs(photos, *beside)
-    files = (setup.lights, setup.camera, setup.colour, white.white_file)
+    files = (setup.lights, setup.camera, setup.colour, setup.plan, white.white_file)
     check_outputs(output, report, shown, inputs=(*used, *beside, *files))
     place, factor = white.white(setup.colour)
     with progress("reading the photographs") as share_done:
@@ -50,12 +49,14 @@ def brdf(
             sample.sample,
             place,
             factor,
-            grid=CellGrid(result.step_deg),
+            grid=result.grid(),
+            scattered=result.scattered,
             metadata=Metadata(result.name or output.stem, simulated=result.simulated),
+            plan=setup.plan,
             go_on=result.go_on,
             progress=share_done,
         )
-    found.measurement.save(output)
+    (found.read if result.scattered else found.measurement).save(output)
     write_brdf(found, report)
     save_plot(draw_captured(found), shown)
     print(found)

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Literal
 from cyclopts import Group, Parameter
 
 from raden_torch.cli.capture_options import DevelopmentOptions, LightsFile
-from raden_torch.cli.option_types import Axis, Points, Region, Triple
+from raden_torch.cli.option_types import Axis, Points, RaisedRegions, Region, Triple
 from raden_torch.errors import InputError
 
 if TYPE_CHECKING:
     from raden_torch.arrays import Floats
     from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
+    from raden_torch.capture.photo.brdf.photo_cells import CellGrid
     from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
 
 
@@ -33,8 +34,9 @@ class SampleOptions:
     """shape of the sample; a plane lies on the board"""
     mask: Path | None = None
     """mask, white on the sample; by default a sphere is searched for"""
-    region: Region | None = None
-    """a plane's corners on the board, as "x,y x,y x,y" in metres"""
+    region: RaisedRegions = ()
+    """a plane's corners on the board, as "x,y x,y x,y" in metres, or "x,y,height …" of one that
+    leans; once for each of several pieces"""
     radius_mm: float | None = None
     """radius of a sphere or cylinder in mm; needed with --camera"""
     axis: Axis | None = None
@@ -42,10 +44,12 @@ class SampleOptions:
 
     @property
     def sample(self) -> SampleSpec:
+        import numpy as np
+
         from raden_torch.capture.photo.brdf.capture_settings import SampleSpec
 
-        region, axis = _array(self.region), _array(self.axis)
-        return SampleSpec(self.shape, self.mask, region, self.radius_mm, axis)
+        regions, axis = tuple(np.array(region) for region in self.region), _array(self.axis)
+        return SampleSpec(self.shape, self.mask, regions or None, self.radius_mm, axis)
 
 
 @Parameter(name="*", group=Group("The white reference", sort_key=3))
@@ -112,6 +116,8 @@ class SetupOptions:
     """standard deviation of the lamps' directions, degrees"""
     stack: int = 1
     """number of files per photograph, in sequence: an exposure stack"""
+    plan: Path | None = None
+    """plan of `raden capture guide` by which they were taken: is their order right?"""
 
     def __post_init__(self) -> None:
         if (self.lamps_stand == "board") != (self.lights_seen_in is not None):
@@ -139,9 +145,20 @@ class ResultOptions:
 
     step_deg: float = 5.0
     """step of the grid, degrees"""
+    scattered: bool = False
+    """each cell's value at its samples' own angles, and no empty cells: of a flat piece, which
+    shows little of each cell; `raden fit --assume isotropic+reciprocal` fits these"""
     name: str = ""
     """name of the sample"""
     simulated: bool = False
     """label the measurement as simulated: the photographs were computed"""
     go_on: bool = False
     """only warn where photographs contradict each other or moved"""
+
+    def grid(self) -> CellGrid:
+        from raden_torch.capture.photo.brdf.photo_cells import CellGrid
+        from raden_torch.capture.photo.capture_brdf import SCATTERED_TO_DEG
+
+        return (
+            CellGrid(self.step_deg, SCATTERED_TO_DEG) if self.scattered else CellGrid(self.step_deg)
+        )

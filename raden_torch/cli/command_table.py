@@ -197,6 +197,12 @@ _CAPTURE_COMMANDS = (
         "--white-mask white.png --white-factor 98.5 -o shell.csv",
     ),
     (
+        "guide_command:guide",
+        "Say where lamp and camera should stand next, for a flat, bent or convex piece.",
+        "raden capture guide --size 100x80 --count 40 --assume isotropic+reciprocal -o plan.json "
+        "-o plan.png",
+    ),
+    (
         "segment_command:segment",
         "Propose which pixels of a photographed inlay show which shell: a palette's map.",
         "raden capture segment lamp*.png --shells 3 -o map.png",

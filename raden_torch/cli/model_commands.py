@@ -42,8 +42,9 @@ class FitOptions:
     readings"""
     validation: Path | None = None
     """readings off the grid, used to choose the interpolation"""
-    assume: Literal["isotropic"] | None = None
-    """assumed symmetry of the sample: one plane, one view or one side is then enough"""
+    assume: Literal["isotropic", "isotropic+reciprocal"] | None = None
+    """what is declared of the sample: isotropic, one plane, one view or one side is then enough;
+    isotropic+reciprocal, a hundred photographs of a flat piece"""
     by_azimuth: Annotated[bool, switch("a model that turns: one for each sample azimuth")] = False
     spectral: Annotated[
         bool, switch("keep the bands of the measurement, for other illuminants than its own")

@@ -152,6 +152,20 @@ def _frames(text: str) -> tuple[int, ...]:
         raise ValueError(str(error).removeprefix("frames: ")) from None
 
 
+def _size_mm(text: str) -> tuple[float, float]:
+    try:
+        width, height = (float(part) for part in text.lower().split("x"))
+    except ValueError:
+        raise ValueError(f"expected width x height in mm, as 100x80, got {text}") from None
+    return width, height
+
+
+def _reach_mm(text: str) -> tuple[float, float]:
+    """One distance, or the least and the greatest."""
+    low, _, high = text.partition(":")
+    return number(low), number(high or low)
+
+
 def _squares(text: str) -> tuple[int, int]:
     try:
         columns, rows = (int(part) for part in text.lower().split("x"))
@@ -185,6 +199,21 @@ def _region(text: str) -> Points:
             f'expected three or more points in metres, as "0.05,0.05 0.1,0.05", got {text}'
         )
     return points
+
+
+def _raised_region(text: str) -> tuple[tuple[float, ...], ...]:
+    """x,y of each corner, or x,y,height."""
+    try:
+        points = [tuple(float(n) for n in part.split(",")) for part in text.split()]
+    except ValueError:
+        points = []
+    sizes = {len(point) for point in points}
+    if len(points) < 3 or sizes not in ({2}, {3}) or not all(isfinite(sum(p)) for p in points):
+        raise ValueError(
+            'expected three or more points in metres, as "0.05,0.05 0.1,0.05", or, with heights '
+            f'over the board, "0.05,0.05,0.01", got {text}'
+        )
+    return tuple(points)
 
 
 def _axis(text: str) -> Points:
@@ -236,9 +265,17 @@ Exposed = Annotated[
 Bytes = Annotated[int, _read(_bytes, "SIZE", show_default=lambda size: f"{size >> 30}G")]
 Limits = Annotated[tuple[float, float], _read(_limits, "FIRST:LAST")]
 Frames = Annotated[tuple[int, ...] | None, _read(_frames, "FIRST-LASTxSTEP,…", show_default=False)]
+SizeMm = Annotated[tuple[float, float], _read(_size_mm, "WIDTHxHEIGHT")]
+ReachMm = Annotated[
+    tuple[float, float],
+    _read(_reach_mm, "LEAST:GREATEST", show_default=lambda reach: f"{reach[0]:g}:{reach[1]:g}"),
+]
 Squares = Annotated[tuple[int, int], _read(_squares, "COLUMNSxROWS")]
 CornersPx = Annotated[Points, _read(_corners_px, "POINTS")]
 Region = Annotated[Points, _read(_region, "POINTS")]
+RaisedRegions = Annotated[
+    tuple[tuple[tuple[float, ...], ...], ...], _read_all(_raised_region, "POINTS")
+]
 Axis = Annotated[Points, _read(_axis, "POINTS")]
 LampOrFile = Annotated[tuple[float, float, float] | Path, _read(_lamp_or_file, "X,Y,Z|FILE")]
 Names = Annotated[tuple[str, ...], _read(_names, "NAME,NAME,…")]

@@ -39,6 +39,9 @@ class SimulationOptions:
     """seed of the noise and of the positions"""
     variant: Literal["scalar_rgb", "llvm_ad_rgb"] = "scalar_rgb"
     """variant of Mitsuba"""
+    plan: Path | None = None
+    """plan of `raden capture guide` for a flat piece: where camera and lamp stand; with
+    --shape plane"""
 
 
 def simulate(

@@ -61,7 +61,8 @@ def test_all_commands_are_here() -> None:
         "fit info analyse merge convert plot export verify bench render relight sweep demo scan"
     )
     steps = [" ".join(words) for words in COMMANDS if len(words) == 2]
-    capture = ["calibrate", "colour", "lights", "normals", "brdf", "segment", "batch", "simulate"]
+    capture = ["calibrate", "colour", "lights", "normals", "brdf", "guide"]
+    capture += ["segment", "batch", "simulate"]
     catalogue = ["add", "find", "show", "get", "check"]
     assert steps == [f"capture {x}" for x in capture] + [f"catalogue {x}" for x in catalogue]
 
@@ -189,7 +190,10 @@ REFUSED = [
     # another choice
     ((*RELIGHT, "--green", "vulkan"), "--green: expected opengl or directx, got vulkan"),
     ((*BRDF, "a.png", "--shape", "cube"), "--shape: expected sphere, plane or cylinder, got"),
-    (("fit", "a.csv", "-o", "m", "--assume", "none"), "--assume: expected isotropic, got none"),
+    (
+        ("fit", "a.csv", "-o", "m", "--assume", "none"),
+        "--assume: expected isotropic or isotropic+reciprocal, got none",
+    ),
     # what contradicts itself
     (("bench", "--height", "3"), "--height: expected 16…8192, got 3"),
     ((*RELIGHT, "--strip", "3", "--sheet", "3"), "--strip and --sheet bring their own lamps"),

@@ -58,7 +58,10 @@ def fit(
         validation: readings off the grid to choose by, at least 200.
         assume: "isotropic", of a sample whose turn in its own plane changes nothing: then readings
             on one side (tilt ≥ 0), in one plane or of one view suffice; see
-            `reflectance.isotropic`. The report says what was measured and what follows.
+            `reflectance.isotropic`. "isotropic+reciprocal", of one that looks the same when light
+            and view change places, too: then few readings in all directions suffice, as of a
+            hundred photographs; see `reflectance.few_readings`. The report says what was measured
+            and what follows.
         outside: what stands beyond the measured angles: "continued", what was measured continues
             to the horizon (`reflectance.continuation`), unless so large a table would be too
             large, which the report warns of; "diffuse", the paper's rule, eq. (6) alone.

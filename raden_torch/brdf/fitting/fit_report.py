@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from raden_torch.brdf.fitting.diffuse_fit import FITS, RIDGE_DEG, DiffuseParameters
-from raden_torch.brdf.fitting.hemisphere import Shares, directional_albedo, shares
+from raden_torch.brdf.fitting.hemisphere import GUESS, Shares, directional_albedo, shares
 from raden_torch.brdf.fitting.interpolated_table import Choice
 from raden_torch.brdf.fitting.tabulate import Tabulated
 from raden_torch.brdf.model.layout_choice import BakeError, bake_errors
@@ -62,7 +62,7 @@ class FitReport:
         interpolation, interpolation_why, interpolation_losses: see `interpolated_table.Choice`.
         assumption: what was assumed of the sample, and how far readings bear it out; may be empty.
         hemisphere: which shares of all pairs of directions were measured, filled or derived within
-            the table's box, and lie outside it.
+            the table's box (of few readings: some of them guessed), and lie outside it.
         box_deg: first and last incidence, receiving and tilt that were measured, or derived.
         outside: what stands there: "continued" or "diffuse".
         albedo: directional albedo by incidence in degrees, in its highest channel.
@@ -125,7 +125,7 @@ class FitReport:
             f"of all pairs of directions {_percent(self.hemisphere.measured)} were measured, "
             f"{_percent(self.hemisphere.filled)} "
             + ("derived" if self.assumption else "filled")
-            + " within the table's box, "
+            + f" within the table's box{self._expected()}, "
             f"{_percent(self.hemisphere.outside)} lie outside it: {_OUTSIDE[self.outside]}",
             "directional albedo: "
             + ", ".join(f"{albedo:.3g} at {angle:g}" for angle, albedo in self.albedo.items())
@@ -143,6 +143,16 @@ class FitReport:
                 f"99.9 % quantile and mean |Δ log(1+Y)| from the fit: {errors}"
             )
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
+
+    def _expected(self) -> str:
+        """Of a table from few readings: how sure it is of what it derived."""
+        if np.isnan(self.hemisphere.expected_error):
+            return ""
+        return (
+            f" (expected error {_percent(self.hemisphere.expected_error)} in the median; "
+            f"{_percent(self.hemisphere.guessed)} of all are guessed: more than "
+            f"{_percent(GUESS)})"
+        )
 
 
 def make_report(

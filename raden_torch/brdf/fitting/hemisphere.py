@@ -17,6 +17,9 @@ from raden_torch.brdf.model.model import RadenBrdf
 INCIDENCES_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 70.0, 80.0, 85.0)
 """Where the directional albedo is computed."""
 
+GUESS = 0.1
+"""An expected error of Y over Y: a table that is less sure of a node has guessed it."""
+
 _PAIRS = 20_000
 _COSINES, _AZIMUTHS = 48, 180
 
@@ -29,11 +32,17 @@ class Shares:
         measured: nearest to a node that was measured.
         filled: within the measured box otherwise.
         outside: beyond it.
+        guessed: those of `filled` whose expected error is above `GUESS`, of a table from few
+            readings.
+        expected_error: median of the expected standard deviation of Y over Y, within the box; NaN
+            where it is not known.
     """
 
     measured: float
     filled: float
     outside: float
+    guessed: float = 0.0
+    expected_error: float = float("nan")
 
 
 def shares(table: Tabulated) -> Shares:
@@ -44,9 +53,13 @@ def shares(table: Tabulated) -> Shares:
     pairs = np.rad2deg(np.stack([angle.numpy().ravel() for angle in angles], axis=1))
     inside = table.grid.contains(pairs)
     node = np.rint(table.grid.positions(pairs[inside])).astype(int)
-    measured = float(table.measured[tuple(node.T)].sum()) / len(pairs)
-    within = float(inside.mean())
-    return Shares(measured, within - measured, 1 - within)
+    read = table.measured[tuple(node.T)]
+    measured, within = float(read.sum()) / len(pairs), float(inside.mean())
+    if table.std is None:
+        return Shares(measured, within - measured, 1 - within)
+    std = table.std[tuple(node.T)]
+    guessed = float((~read & (std > GUESS)).sum()) / len(pairs)
+    return Shares(measured, within - measured, 1 - within, guessed, float(np.median(std)))
 
 
 def directional_albedo(model: RadenBrdf) -> dict[float, float]:

@@ -26,7 +26,7 @@ class FitSettings:
 
     diffuse: DiffuseParameters | Literal["floor", "surface"] = "floor"
     interpolation: str = "auto"
-    assume: Literal["isotropic"] | None = None
+    assume: Literal["isotropic", "isotropic+reciprocal"] | None = None
     by_azimuth: bool = False
     spectral: bool = False
     outside: Literal["continued", "diffuse"] = "continued"

@@ -12,11 +12,14 @@ from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, ReadingGrid
 from raden_torch.measurement.opposite_tilts import with_opposite_tilts
 from raden_torch.measurement.readings import FACTOR_PER_SR, LEAST_COVERAGE
+from raden_torch.reflectance.few_readings import GRID as HEMISPHERE
+from raden_torch.reflectance.few_readings import all_around, from_few
 from raden_torch.reflectance.gap_filling import fill
 from raden_torch.reflectance.grid import AngleGrid
-from raden_torch.reflectance.isotropic import GRID, derive
+from raden_torch.reflectance.isotropic import GRID, Derived, derive
 from raden_torch.reflectance.log_readings import LogReadings
 from raden_torch.reflectance.scattered import nodes_read, on_grid, with_noise
+from raden_torch.reflectance.symmetric_kriging import ASSUMPTIONS
 
 MAX_CELLS = 4_000_000
 """In a table."""
@@ -49,6 +52,7 @@ class Tabulated:
         assumption: one sentence; empty where nothing was assumed.
         warnings: one sentence each.
         channels: what C stands for.
+        std: expected standard deviation of Y over Y, where the table comes from few readings.
     """
 
     grid: AngleGrid
@@ -67,6 +71,7 @@ class Tabulated:
     assumption: str
     warnings: tuple[str, ...]
     channels: Channels = IN_RGB
+    std: Floats | None = None
 
 
 def tabulate(
@@ -78,9 +83,11 @@ def tabulate(
     that fill less than half of their grid are kriged onto nodes 5 degrees apart.
 
     Args:
-        assume: "isotropic": readings stand for the opposite tilt, too; where they tell of less
-            than half of the table even so, it follows from them by `reflectance.isotropic.derive`.
-
+        assume: "isotropic": readings stand for the opposite tilt, too. Few of them, in all
+            directions, become a table of the hemisphere (`reflectance.few_readings`), for which
+            "isotropic+reciprocal" lets them stand for light and view exchanged, too. Where those of
+            one plane or one view tell of less than half of the table, it follows from them by
+            `reflectance.isotropic.derive`.
         channels: what the table holds.
 
     Raises:
@@ -89,11 +96,14 @@ def tabulate(
     """
     if assume is None:
         return _tabulated(measurement, channels)
-    if assume != "isotropic":
-        raise InputError(f"assume: expected 'isotropic', got {assume!r}")
-    _check_readings(measurement)
+    if assume not in ASSUMPTIONS:
+        raise InputError(f"assume: expected {' or '.join(map(repr, ASSUMPTIONS))}, got {assume!r}")
+    _check_values(measurement)
     known, angles = _readings(measurement, channels)
     both, assumption = with_opposite_tilts(measurement)
+    if all_around(known.angles_deg) and _nodes(both) is None:
+        return _from_few(measurement, channels, assume)
+    _check_coverage(measurement)
     table = None if _single_valued(both) else _tabulated(both, channels)
     if table is None or table.without_neighbour.mean() > _MOSTLY:
         return _derived(measurement, channels)
@@ -184,13 +194,20 @@ def _near_nodes(every: BrdfMeasurement) -> tuple[ReadingGrid | None, float]:
 
 def _derived(measurement: BrdfMeasurement, channels: Channels) -> Tabulated:
     """From readings of one plane or one view of an isotropic sample."""
-    known, angles = _readings(measurement, channels)
+    known, _ = _readings(measurement, channels)
     factors, std = channels.factors_of(measurement)
     derived = derive(known.angles_deg, factors, std, known.count)
+    return _of_derived(measurement, channels, GRID, derived)
+
+
+def _of_derived(
+    measurement: BrdfMeasurement, channels: Channels, grid: AngleGrid, derived: Derived
+) -> Tabulated:
+    known, angles = _readings(measurement, channels)
     values = channels.f_r(derived.values)
     none = np.zeros_like(derived.measured)
     return Tabulated(
-        grid=GRID,
+        grid=grid,
         values=values,
         before_averaging=np.full_like(values, np.nan),
         measured=derived.measured,
@@ -209,8 +226,21 @@ def _derived(measurement: BrdfMeasurement, channels: Channels) -> Tabulated:
     )
 
 
+def _from_few(measurement: BrdfMeasurement, channels: Channels, assume: str) -> Tabulated:
+    """From few readings in all directions, under the symmetries that were declared."""
+    known, _ = _readings(measurement, channels)
+    factors, std = channels.factors_of(measurement)
+    found = from_few(known.angles_deg, factors, std, known.count, assume=assume)
+    derived = Derived(found.values, found.measured, found.why)
+    return replace(_of_derived(measurement, channels, HEMISPHERE, derived), std=found.std)
+
+
 def _check_readings(measurement: BrdfMeasurement) -> None:
     _check_coverage(measurement)
+    _check_values(measurement)
+
+
+def _check_values(measurement: BrdfMeasurement) -> None:
     if not measurement.valid.any():
         raise InputError("measurement: expected valid readings, got none; nothing can be fitted")
     if not (measurement.values[measurement.valid] > 0).any():

@@ -30,12 +30,15 @@ from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
 from raden_torch.capture.photo.brdf.seen_surface import fixed_surface, normal_std_deg
 from raden_torch.capture.photo.brdf.shots import Shot
+from raden_torch.capture.photo.guide.plan_check import check_planned
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
 from raden_torch.measurement.readings import LEAST_COVERAGE
 from raden_torch.measurement.systematic_errors import SystematicErrors
 
 Progress = Callable[[float], None]
+SCATTERED_TO_DEG = 80.0
+"""The last node of the cells that scattered readings are gathered in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +46,8 @@ class CapturedBrdf:
     """The measurement, and how it came about.
 
     Attributes:
-        measurement: on the whole grid; cells without samples are NaN and not valid.
+        measurement: a row a cell of the grid, at its node or (`scattered`) amid its samples; cells
+            without samples are NaN and not valid.
         budget: the terms of its standard deviation.
         found: what the photographs hold, relative to the white.
         grid: the cells.
@@ -66,6 +70,14 @@ class CapturedBrdf:
     coverage: Coverage
     notes: tuple[str, ...]
 
+    @property
+    def read(self) -> BrdfMeasurement:
+        """The cells that have samples; at incidence 0 one of each two that hold the same."""
+        _, r, t = self.grid.nodes_deg().T
+        at_0 = self.grid.nodes_deg()[:, 0] == 0
+        again = at_0 & ((r < 0) | ((r == 0) & (t < 0)))
+        return self.measurement.select(self.measurement.valid & ~again)
+
     def __str__(self) -> str:
         lines = [
             f"{self.found.samples} samples from {len(self.shots)} photographs; "
@@ -85,23 +97,31 @@ def capture_brdf(
     *,
     grid: CellGrid | None = None,
     metadata: Metadata | None = None,
+    scattered: bool = False,
+    plan: Path | None = None,
     go_on: bool = False,
     progress: Progress | None = None,
 ) -> CapturedBrdf:
     """Read the photographs of a series and put every lit pixel on the grid.
 
     Args:
-        grid: None: steps of 5 up to 70 degrees.
+        grid: None: steps of 5 up to 70 degrees, or, scattered, up to 80.
+        scattered: each cell's value is that amid its samples, at their own angles; as of a flat
+            piece, which shows little of each cell.
+        plan: of `raden capture guide`, by which the photographs were taken.
         go_on: warn instead of raising where the sample seems to have moved, or photographs
-            contradict each other.
+            contradict each other or their plan.
         progress: called with the share that is done, 0…1.
 
     Raises:
         InputError: as for what it is made of; a sample that moved, photographs that contradict each
-            other beyond their uncertainty, or a coverage below 5 %. The message names the file.
+            other beyond their uncertainty, or, not scattered, a coverage below 5 %. The message
+            names the file.
     """
-    grid = grid or CellGrid()
+    grid = grid or (CellGrid(limit_deg=SCATTERED_TO_DEG) if scattered else CellGrid())
     series = read_series(photographs, setup)
+    unplanned = None if plan is None else check_planned(plan, series, sample)
+    warned = _raised_or_warned([unplanned], go_on=go_on)
     fixed = fixed_surface(series, sample)
     views = photo_views(series, sample, fixed)
     first = first_pass(_reported(views, series, progress, 0.0), series, white, factor, grid)
@@ -109,11 +129,13 @@ def capture_brdf(
     lamp_std_deg = np.array([lamp.std_deg for lamp in series.lamps])
     agreed = agreement(first.kept, fit, first.scale, grid, lamp_std_deg)
     doubts = [moved(first.edges, series.names), agreed.contradiction(series.names)]
-    warned = _raised_or_warned(doubts, go_on=go_on)
+    warned += _raised_or_warned(doubts, go_on=go_on)
 
     views = photo_views(series, sample, fixed)
-    found = second_pass(_reported(views, series, progress, 0.5), first, fit, grid)
-    cover = _checked_coverage(found, grid, series, sample, first.shape)
+    half = _reported(views, series, progress, 0.5)
+    found = second_pass(half, first, fit, grid, amid_samples=scattered)
+    least = 0.0 if scattered else LEAST_COVERAGE
+    cover = _checked_coverage(found, grid, series, sample, first.shape, least)
     colour = NodeColour.of(setup.colour, found.scale, series.colour)
     budget = budget_of(
         found,
@@ -190,7 +212,9 @@ def _measurement(
     budget: PhotoBudget,
     metadata: Metadata,
 ) -> BrdfMeasurement:
-    incidence, receiving, tilt = grid.nodes_deg().T
+    angles = grid.nodes_deg() + grid.step_deg * found.nodes.at
+    # below incidence 0 a geometry has another name
+    incidence, receiving, tilt = np.where(angles[:, :1] < 0, -angles, angles).T
     values = colour.factors(found.nodes.value)
     return BrdfMeasurement(
         incidence,
@@ -206,12 +230,18 @@ def _measurement(
 
 
 def _checked_coverage(
-    found: AccumulatedCells, grid: CellGrid, series: PhotoSeries, sample: SampleSpec, shape: Shape
+    found: AccumulatedCells,
+    grid: CellGrid,
+    series: PhotoSeries,
+    sample: SampleSpec,
+    shape: Shape,
+    least: float,
 ) -> Coverage:
     """Of the grid, with a suggestion from where the first photograph was taken.
 
     Args:
         shape: of the sample, in the frame of the first photograph's camera.
+        least: share of the grid.
 
     Raises:
         InputError: too little for a measurement.
@@ -223,7 +253,7 @@ def _checked_coverage(
     covered = np.asarray(np.isfinite(found.nodes.value).all(axis=1))
     pose = series.shots[0].pose if sample.lies_on_board else None
     cover = coverage(covered, grid, shape, series.camera, pose, distance)
-    if cover.share < LEAST_COVERAGE:
+    if cover.share < least:
         raise InputError(_too_little(cover, series))
     return cover
 

@@ -55,7 +55,9 @@ class SampleSpec:
         shape: "sphere", "plane" (on the board) or "cylinder".
         mask: white on it; for all photographs, so only where nothing moves. Without one a sphere is
             looked for; a cylinder needs one, a plane needs one or `region_m`.
-        region_m: `[n, 2]`, n ≥ 3, the corners of a plane on the board, metres.
+        region_m: the corners of a plane on the board, metres: `[n, 2]`, n ≥ 3, or `[n, 3]` with
+            their heights over it; or several such, of flat pieces that each have their own plane,
+            as cards on wedges.
         radius_mm: of a sphere or cylinder, mm, above 0; needed with a camera.
         axis_m: `[2, 2]` two points on the board, metres, above which a cylinder's axis runs, lying
             on it; None: the axis is found from the mask's straight edges.
@@ -63,7 +65,7 @@ class SampleSpec:
 
     shape: Literal["sphere", "plane", "cylinder"] | str
     mask: Path | None = None
-    region_m: Floats | None = None
+    region_m: Floats | tuple[Floats, ...] | None = None
     radius_mm: float | None = None
     axis_m: Floats | None = None
 
@@ -76,6 +78,13 @@ class SampleSpec:
             raise InputError("cylinder: expected a mask that is white on it, got none")
         if self.radius_mm is not None and not 0 < self.radius_mm < np.inf:
             raise InputError(f"{self.shape}: radius: expected above 0 mm, got {self.radius_mm} mm")
+
+    @property
+    def regions_m(self) -> tuple[Floats, ...]:
+        """Each region; none where there is a mask alone."""
+        if self.region_m is None:
+            return ()
+        return self.region_m if isinstance(self.region_m, tuple) else (self.region_m,)
 
     @property
     def lies_on_board(self) -> bool:

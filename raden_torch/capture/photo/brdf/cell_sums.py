@@ -33,6 +33,7 @@ class NodeValues:
         noise: `[cells, 3]` its standard deviation by the scatter of the samples.
         place: `[cells, 3]` the same by what is not known of the slopes within the cell.
         slope: `[cells, 3, 3]` change a degree of incidence, receiving and tilt, of each channel.
+        at: `[cells, 3]` where in the cell the value holds, in steps: 0, or amid the samples.
         count: `[cells]` samples that took part.
     """
 
@@ -40,6 +41,7 @@ class NodeValues:
     noise: Floats
     place: Floats
     slope: Floats
+    at: Floats
     count: NDArray[np.int64]
 
 
@@ -78,8 +80,8 @@ class CellSums:
         columns = [weighted[:, _PAIRS[0]] * terms[:, _PAIRS[1]], *of_values, w * off**2, w, w**2]
         self._sums += _summed(row, np.concatenate(columns, axis=1), len(self.count))
 
-    def nodes(self, grid: CellGrid) -> NodeValues:
-        """The value at every node, and how well it is known."""
+    def nodes(self, grid: CellGrid, *, amid_samples: bool = False) -> NodeValues:
+        """The value at every node, or amid each cell's samples, and how well it is known."""
         moments = self._moments()
         spread = np.sqrt(moments.squares / moments.weight).mean(axis=1)
         spread = np.maximum(spread, GRAIN * np.abs(moments.first[:, 0]).mean(axis=1))
@@ -90,7 +92,11 @@ class CellSums:
         found = moments.first + moved
         inverse = np.linalg.inv(whole)
         scatter = moments.scatter(moved, inverse)
-        node = inverse[:, 0]
+        at = (
+            moments.terms[:, 0, 1:4] / moments.weight if amid_samples else np.zeros((len(whole), 3))
+        )
+        there = basis(at.astype(np.float32))
+        node = np.einsum("nk,nkl->nl", there, inverse)
         from_noise = np.einsum("nk,nkl,nl->n", node, moments.terms, node) * moments.share
         from_place = np.einsum("nk,nkl,nl->n", node, precision, node)
         place = np.repeat((spread * np.sqrt(from_place))[:, None], 3, axis=1)
@@ -103,10 +109,11 @@ class CellSums:
             return out
 
         return NodeValues(
-            value=on_grid(found[:, 0]),
+            value=on_grid(np.einsum("nk,nkc->nc", there, found)),
             noise=on_grid(scatter * np.sqrt(from_noise.clip(min=0))[:, None]),
             place=on_grid(place),
             slope=on_grid(found[:, 1:4].transpose(0, 2, 1) / grid.step_deg),
+            at=np.nan_to_num(on_grid(at)),
             count=count,
         )
 

@@ -140,12 +140,18 @@ def first_pass(
 
 
 def second_pass(
-    views: Iterable[PhotoView], first: FirstPass, fit: RobustFit, grid: CellGrid
+    views: Iterable[PhotoView],
+    first: FirstPass,
+    fit: RobustFit,
+    grid: CellGrid,
+    *,
+    amid_samples: bool = False,
 ) -> AccumulatedCells:
     """Sum the samples that agree with the fit, and find the value at every node.
 
     Args:
         fit: of the samples that the first pass chose.
+        amid_samples: find it amid each cell's samples instead.
 
     Raises:
         InputError: as for reading.
@@ -159,7 +165,7 @@ def second_pass(
             counted = np.bincount(part.cell, minlength=grid.cells)
             per_shot[view.number] += counted.astype(np.int32)
     return AccumulatedCells(
-        nodes=sums.nodes(grid),
+        nodes=sums.nodes(grid, amid_samples=amid_samples),
         scale=scale,
         kept=first.kept,
         fit=fit,

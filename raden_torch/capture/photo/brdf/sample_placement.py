@@ -16,7 +16,7 @@ from raden_torch.capture.photo.brdf.capture_settings import SampleSpec
 from raden_torch.capture.photo.brdf.cylinder_axis import rod_from_mask, rod_on_board
 from raden_torch.capture.photo.brdf.pixel_regions import eroded
 from raden_torch.capture.photo.brdf.rays import rays_through
-from raden_torch.capture.photo.brdf.sample_shapes import Plane, Shape, Sphere
+from raden_torch.capture.photo.brdf.sample_shapes import Plane, Planes, Shape, Sphere
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.errors import InputError
@@ -87,9 +87,13 @@ def _plane(
 ) -> tuple[Shape, Bools]:
     pose = _need_pose(pose, name)
     inside = np.ones(size, bool) if mask is None else mask > 0.5
-    if spec.region_m is not None:
-        inside &= board_pixels(spec.region_m, camera, pose, size, name)
-        return board_plane(spec.region_m, pose), inside
+    if regions := spec.regions_m:
+        shown = [board_pixels(region, camera, pose, size, name) for region in regions]
+        planes = tuple(board_plane(region, pose) for region in regions)
+        if len(planes) == 1:
+            return planes[0], inside & shown[0]
+        # each is eroded by itself: where two meet neither is seen whole
+        return Planes(planes), inside & np.logical_or.reduce([eroded(part) for part in shown])
     y, x = np.nonzero(inside)
     box = np.array([[x.min(), y.min()], [x.max(), y.min()], [x.max(), y.max()], [x.min(), y.max()]])
     board = whole_board(pose)

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.photo.brdf.rays import Rays
 
 
@@ -83,10 +83,25 @@ class Plane:
         point = rays.start + depth[:, None] * rays.direction
         return Surface(point, np.broadcast_to(self.normal, point.shape))
 
+    def holds(self, points: Floats) -> Bools:
+        """`[P]`: points of its plane that lie inside the corners."""
+        from matplotlib.path import Path
+
+        across = self._across()
+        return np.asarray(
+            Path((self.corners - self.middle) @ across.T).contains_points(
+                np.nan_to_num(points - self.middle, nan=np.inf) @ across.T
+            )
+        )
+
+    def _across(self) -> Floats:
+        """`[2, 3]` unit vectors along it."""
+        return np.asarray(np.linalg.svd(self.corners - self.middle)[2][:2])
+
     def spread(self, count: int) -> tuple[Surface, Floats]:
         from matplotlib.path import Path
 
-        across = np.linalg.svd(self.corners - self.middle)[2][:2]
+        across = self._across()
         flat = (self.corners - self.middle) @ across.T
         low, high = flat.min(axis=0), flat.max(axis=0)
         step = float(np.sqrt(np.prod(high - low) / count))
@@ -98,6 +113,37 @@ class Plane:
         point = self.middle + uv @ across
         surface = Surface(point, np.broadcast_to(self.normal, point.shape))
         return surface, np.full(len(point), step**2)
+
+
+@dataclass(frozen=True, eq=False)
+class Planes:
+    """Several flat pieces of one sample, each in its own plane."""
+
+    parts: tuple[Plane, ...]
+
+    @property
+    def middle(self) -> Floats:
+        return np.asarray(np.mean([part.middle for part in self.parts], axis=0))
+
+    def seen(self, rays: Rays) -> Surface:
+        """The first piece that a ray meets inside its corners."""
+        point = np.full(rays.direction.shape, np.nan)
+        normal, nearest = point.copy(), np.full(len(point), np.inf)
+        for part in self.parts:
+            met = part.seen(rays)
+            depth = ((met.point - rays.start) * rays.direction).sum(1)
+            first = np.isfinite(depth) & (depth < nearest) & part.holds(met.point)
+            point[first], normal[first] = met.point[first], met.normal[first]
+            nearest[first] = depth[first]
+        return Surface(point, normal)
+
+    def spread(self, count: int) -> tuple[Surface, Floats]:
+        each = [part.spread(max(count // len(self.parts), 1)) for part in self.parts]
+        point, normal = (
+            np.concatenate([getattr(surface, name) for surface, _ in each])
+            for name in ("point", "normal")
+        )
+        return Surface(point, normal), np.concatenate([area for _, area in each])
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,6 +45,9 @@ class PhotoPlan:
         white: what a person would know of the white tile.
         white_factor, grey_ball: reflectance factor of the white tile, reflectance of the matt ball.
         masks: the things that get one.
+        reference: from where lamps, chart and masks are photographed; None: from the first view.
+        plan: name beside the photographs of the file that says where lamp and camera stand;
+            empty where none does.
     """
 
     shape: str
@@ -64,12 +67,15 @@ class PhotoPlan:
     masks: tuple[str, ...]
     white_factor: float = 90.0
     grey_ball: float = 0.6
+    reference: View | None = None
+    plan: str = ""
 
 
-def camera_of(width: int, bits: int = 14) -> Camera:
-    """A long lens with barrel distortion, a little off the middle of its 3 : 2 pictures."""
+def camera_of(width: int, bits: int = 14, *, focal: float = 3.0) -> Camera:
+    """A lens with barrel distortion, a little off the middle of its 3 : 2 pictures; its focal
+    length over their width."""
     height = round(width * 2 / 3)
-    focal = 3.0 * width
+    focal *= width
     matrix = np.array([[focal, 0, 0.508 * width], [0, 1.002 * focal, 0.493 * height], [0, 0, 1.0]])
     return Camera(matrix, np.array([-0.28, 0.35, 0.0006, -0.0004, 0.0]), (height, width), bits=bits)
 
@@ -81,7 +87,9 @@ def lamp_at(place: Floats, distance_mm: float, strength: float) -> Lamp:
     return Lamp((x, y, z), (intensity,) * 3, distance_mm * float(np.tan(np.radians(1.0))))
 
 
-def board_poses(board: PrintedBoard, rng: np.random.Generator, count: int = 12) -> list[Sheet]:
+def board_poses(
+    board: PrintedBoard, rng: np.random.Generator, count: int = 12, *, focal: float = 3.0
+) -> list[Sheet]:
     """The board filling the picture, leaning by up to 40 degrees in turn to all sides."""
     poses = []
     width, height = board.size_mm
@@ -92,7 +100,9 @@ def board_poses(board: PrintedBoard, rng: np.random.Generator, count: int = 12) 
         right, down = (
             _turned(_turned(edge, np.array([0, 0, 1.0]), turn), axis, lean) for edge in (RIGHT, -UP)
         )
-        middle = np.array([rng.uniform(-9, 9), rng.uniform(-6, 6), -width * rng.uniform(3.7, 4.4)])
+        middle = np.array(
+            [rng.uniform(-9, 9), rng.uniform(-6, 6), -width * rng.uniform(3.7, 4.4) * focal / 3]
+        )
         poses.append(Sheet(middle - right * width / 2 - down * height / 2, right, down,
                            width, height))  # fmt: skip
     return poses

@@ -32,10 +32,11 @@ from raden_torch.capture.photo.simulation.renderer import SPECIMEN
 from raden_torch.capture.photo.simulation.simulated_camera import Camera, View
 
 _MIDDLE = np.array([88.0, -56.0, 0.0])
-_CAMERA_MM, _LAMP_MM = 950.0, 1150.0
+CAMERA_MM, _LAMP_MM = 950.0, 1150.0
 """Lamps stand behind the camera's distance, so that none is in the picture."""
 _SPECIMEN_MM, _WHITE_MM = (48.0, 32.0, 32.0, 32.0), (112.0, 48.0, 16.0, 16.0)
 """x, y, width and height on the board."""
+BOARD = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.0)
 _ABOVE_MM, _BALL_MM = 0.02, 20.0
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
@@ -50,30 +51,21 @@ def plane_plan(
     The first view is from nearly above and shows everything, the others lean to all sides.
     """
     rng = np.random.default_rng([seed, 1])
-    board = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.0)
+    board = BOARD
     lying = Sheet(np.zeros(3), RIGHT, -UP, *board.size_mm)
-    chart = Sheet(np.array([154.0, -28.0, 0.0]), RIGHT, -UP, 77.0, 55.0)
-    table = Sheet(np.array([-500.0, 500.0, -0.5]), RIGHT, -UP, 1200.0, 1000.0)
     places = [
         lamp_at(_MIDDLE + reach * way, reach, rng.uniform(0.8, 1.2))
         for way in _ways(lamps, 8.0, 58.0, rng)
         for reach in [rng.uniform(0.9, 1.1) * _LAMP_MM if near else FAR_MM]
     ]
-    chrome = {CHROME_BALL: (-34.0, -22.0, 20.0), SECOND_BALL: (-34.0, -90.0, 20.0)}
-    things = {
-        "table": sheet(mi, table, matt(0.05)),
-        "board": sheet(mi, lying, printed(mi, board.picture())),
-        "chart": sheet(mi, chart, printed(mi, chart_picture())),
-        WHITE: sheet(mi, _on_board(_WHITE_MM), matt(0.9)),
-        SPECIMEN: sheet(mi, _on_board(_SPECIMEN_MM), matt(1.0)),
-    }
+    things, balls = lying_things(mi, board, _SPECIMEN_MM, _WHITE_MM)
     from_above = _MIDDLE + FAR_MM * np.array([0.0, np.sin(0.4), np.cos(0.4)])
     return PhotoPlan(
         shape="plane",
         things=things,
-        balls={name: Ball(at, _BALL_MM) for name, at in chrome.items()},
+        balls=balls,
         camera=camera,
-        views=[_looking(way) for way in _ways(views, 12.0, 55.0, rng)],
+        views=[looking(way) for way in _ways(views, 12.0, 55.0, rng)],
         lamps=places,
         shots=[
             Shot(f"view_{v + 1}_lamp_{k + 1:02d}", v, k) for v in range(views) for k in range(lamps)
@@ -82,11 +74,33 @@ def plane_plan(
         boards=board_poses(board, rng),
         board=board,
         board_place=lying,
-        specimen={"region_m": _corners_m(_SPECIMEN_MM)},
+        specimen={"region_m": corners_m(_SPECIMEN_MM)},
         middle_mm=(64.0, -48.0, 0.0),
-        white={"region_m": _corners_m(_WHITE_MM)},
-        masks=(SPECIMEN, WHITE, *chrome),
+        white={"region_m": corners_m(_WHITE_MM)},
+        masks=(SPECIMEN, WHITE, *balls),
     )
+
+
+def lying_things(
+    mi: Any,
+    board: PrintedBoard,
+    specimen_mm: tuple[float, float, float, float],
+    white_mm: tuple[float, float, float, float],
+) -> tuple[dict[str, Any], dict[str, Ball]]:
+    """What lies on the table: the board with specimen and white tile (x, y, width, height on it),
+    the chart; and two chrome balls."""
+    lying = Sheet(np.zeros(3), RIGHT, -UP, *board.size_mm)
+    chart = Sheet(np.array([board.size_mm[0] + 10, -28.0, 0.0]), RIGHT, -UP, 77.0, 55.0)
+    table = Sheet(np.array([-500.0, 500.0, -0.5]), RIGHT, -UP, 1200.0, 1000.0)
+    chrome = {CHROME_BALL: (-34.0, -22.0, 20.0), SECOND_BALL: (-34.0, -90.0, 20.0)}
+    things = {
+        "table": sheet(mi, table, matt(0.05)),
+        "board": sheet(mi, lying, printed(mi, board.picture())),
+        "chart": sheet(mi, chart, printed(mi, chart_picture())),
+        WHITE: sheet(mi, _on_board(white_mm), matt(0.9)),
+        SPECIMEN: sheet(mi, _on_board(specimen_mm), matt(1.0)),
+    }
+    return things, {name: Ball(at, _BALL_MM) for name, at in chrome.items()}
 
 
 def _on_board(place: tuple[float, float, float, float]) -> Sheet:
@@ -94,7 +108,7 @@ def _on_board(place: tuple[float, float, float, float]) -> Sheet:
     return Sheet(np.array([x, -y, _ABOVE_MM]), RIGHT, -UP, width, height)
 
 
-def _corners_m(place: tuple[float, float, float, float]) -> list[list[float]]:
+def corners_m(place: tuple[float, float, float, float]) -> list[list[float]]:
     """Two millimetres inside its edges."""
     x, y, width, height = place
     left, top, right, bottom = x + 2, y + 2, x + width - 2, y + height - 2
@@ -114,9 +128,9 @@ def _ways(count: int, first: float, last: float, rng: np.random.Generator) -> li
     ]
 
 
-def _looking(way: Floats) -> View:
-    """From a direction at the middle, the board's columns upright."""
+def looking(way: Floats, at: Floats = _MIDDLE, distance_mm: float = CAMERA_MM) -> View:
+    """From a direction at a point, the board's columns upright."""
     right = np.cross(-way, UP)
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(-way, right), -way])
-    return View(rotation, -rotation @ (_MIDDLE + _CAMERA_MM * way))
+    return View(rotation, -rotation @ (at + distance_mm * way))

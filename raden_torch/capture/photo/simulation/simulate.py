@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,11 +21,11 @@ from raden_torch.capture.photo.simulation.photo_plan import (
     FACING,
     WHITE,
     PhotoPlan,
-    Shot,
     camera_of,
     lamp_at,
 )
 from raden_torch.capture.photo.simulation.plane_set import plane_plan
+from raden_torch.capture.photo.simulation.planned_set import PLAN_NAME, planned_set, things_beside
 from raden_torch.capture.photo.simulation.renderer import SPECIMEN, Studio
 from raden_torch.capture.photo.simulation.simulated_camera import View
 from raden_torch.capture.photo.simulation.sphere_set import sphere_plan
@@ -55,6 +56,8 @@ class Options:
         points: rays along a pixel's edge, 1…8.
         seed: of the noise and of where things stand, 0…2³¹.
         variant: of Mitsuba.
+        plan: a plan of `raden capture guide` for a flat piece: then it says how many photographs
+            there are and where lamp and camera stand, and `lamps`, `views` and `near` say nothing.
 
     Raises:
         InputError: a number out of its range.
@@ -71,6 +74,7 @@ class Options:
     points: int = 2
     seed: int = 0
     variant: str = SCALAR
+    plan: Path | None = None
 
     def __post_init__(self) -> None:
         if self.shape not in ("sphere", "plane"):
@@ -84,6 +88,11 @@ class Options:
             "points": (1, 8),
             "seed": (0, 2**31),
         }
+        if self.plan is not None and self.shape != "plane":
+            raise InputError(
+                f"{self.plan}: expected shape plane, which a plan can be simulated for, got "
+                f"{self.shape}"
+            )
         if self.shape == "plane" and self.stack > 1:
             raise InputError(
                 f"stack: expected 1 for a plane, got {self.stack}; exposure stacks are made of a "
@@ -120,6 +129,8 @@ def simulate_photographs(
         taken.boards()
         taken.lamps_and_chart()
         truth_of(mi, material).save(beside / "truth.csv")
+        if options.plan is not None:
+            shutil.copyfile(options.plan, beside / PLAN_NAME)
         write_truth(
             beside, plan, material, taken.names, taken.seconds, options.stack, options.variant
         )
@@ -140,6 +151,9 @@ def _whole_folder(folder: Path) -> Iterator[Path]:
 
 
 def _plan(mi: Any, options: Options) -> PhotoPlan:
+    if options.plan is not None:
+        what = {"width": options.width, "bits": options.bits, "seed": options.seed}
+        return planned_set(mi, options.plan, **what)
     camera = camera_of(options.width, options.bits)
     how: dict[str, Any] = {"lamps": options.lamps, "near": options.near, "seed": options.seed}
     if options.shape == "sphere":
@@ -184,29 +198,45 @@ class _PhotoSession:
         with TemporaryFile() as file:  # a hundred photographs do not fit into memory
             shape = len(plan.shots), *plan.camera.size, 3
             raws = np.memmap(file, np.float32, shape=shape)
+            if plan.reference is not None:
+                self._reference(self._studio(plan.reference))
             for k, shot in enumerate(plan.shots):
                 if studio is None or shot.view != view:
                     studio, view = self._studio(plan.views[shot.view]), shot.view
                     measured = np.maximum(studio.mask(SPECIMEN), studio.mask(WHITE)) > 0.5
-                if k == 0:
+                if k == 0 and plan.reference is None:
                     self._write_masks(studio)
                     self._chart(studio)
                 raws[k] = studio.raw(plan.lamps[shot.lamp])
                 peak = max(peak, float(raws[k][measured].max()))
-                if shot.view == 0:
-                    self._write_ball(shot, raws[k])
+                if shot.view == 0 and plan.reference is None:
+                    self._write_ball(shot.lamp, raws[k])
             brightest = _PEAK / (peak * plan.camera.sensitivity)
             seconds = [brightest * 4.0**s for s in range(self._options.stack)]
             for shot, raw in zip(plan.shots, raws, strict=True):
                 self._write("lamp", shot.name, raw, seconds)
 
-    def _write_ball(self, shot: Shot, raw: NDArray[Any]) -> None:
+    def _reference(self, studio: Studio) -> None:
+        """Masks, the chart, and every lamp in the chrome balls, from one place."""
+        self._write_masks(studio)
+        self._chart(studio)
+        for number, lamp in enumerate(self._plan.lamps):
+            self._write_ball(number, studio.raw(lamp))
+
+    def _write_ball(self, lamp: int, raw: NDArray[Any]) -> None:
         """So short that the lamp's image in the chrome ball is not clipped: its middle counts."""
-        self._write("ball", f"ball_{shot.lamp + 1:02d}", raw, [self._time(raw)])
+        self._write(
+            "ball",
+            f"ball_{lamp + 1:0{2 if self._plan.reference is None else 3}d}",
+            raw,
+            [self._time(raw)],
+        )
 
     def _studio(self, view: View) -> Studio:
         plan, points = self._plan, self._options.points
         things, balls, material = plan.things, plan.balls, self._material
+        if plan.reference is not None and view is not plan.reference:
+            things, balls = things_beside(things), {}
         return Studio(self._mi, things, balls, material, plan.camera, view, points=points)
 
     def _chart(self, studio: Studio) -> None:

@@ -87,7 +87,8 @@ def commands(plan: PhotoPlan, names: Mapping[str, Sequence[str]], stack: int) ->
     board = f"--squares {plan.board.columns}x{plan.board.rows} --square {square:g} "
     board += f"--marker {marker:g}"
     masks = " ".join(f"--mask mask_{n}.png" for n in plan.balls)
-    lights = f"raden capture lights ball_??.png {masks} --camera camera.json "
+    balls = "ball_*.png" if plan.reference is not None else "ball_??.png"
+    lights = f"raden capture lights {balls} {masks} --camera camera.json "
     lights += f"--ball-radius {plan.balls[CHROME_BALL].radius_mm:g}"
     brdf = f"--colour colour.json --white-factor {plan.white_factor:g} --simulated -o brdf.csv"
     first = [
@@ -96,17 +97,21 @@ def commands(plan: PhotoPlan, names: Mapping[str, Sequence[str]], stack: int) ->
     ]
     if plan.shape == "plane":
         numbers = " ".join(f"--lamp {shot.lamp + 1}" for shot in plan.shots)
+        seen_in, more = names["lamp"][0], ""
+        if plan.reference is not None:
+            seen_in, more = names["chart"][-1], f" {names['chart'][-1]}"
+            brdf = f"--plan {plan.plan} --scattered {brdf}"
         region, white = (
             " ".join(f"{x:g},{y:g}" for x, y in place["region_m"])
             for place in (plan.specimen, plan.white)
         )
         return [
             *first,
-            f"raden capture calibrate view_*.png {board} --camera camera.json -o poses.json",
+            f"raden capture calibrate view_*.png{more} {board} --camera camera.json -o poses.json",
             f"{lights} -o lights.json",
             f'raden capture brdf view_*.png --shape plane --region "{region}" '
             f"--camera poses.json --lights lights.json --lamps-stand board --lights-seen-in "
-            f'{names["lamp"][0]} {numbers} --white-region "{white}" {brdf}',
+            f'{seen_in} {numbers} --white-region "{white}" {brdf}',
         ]
     reference, files = ("lamp_??_1.png", "lamp_??_?.png") if stack > 1 else ("lamp_??.png",) * 2
     stacked = f"--stack {stack} " if stack > 1 else ""

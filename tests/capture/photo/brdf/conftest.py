@@ -217,89 +217,95 @@ def looking(azimuth_deg: float, away_deg: float, distance_m: float) -> tuple[Arr
     return rotation, -rotation @ place
 
 
-@pytest.fixture
-def board_series(tmp_path: Path) -> Callable[..., Series]:
+def board_photographs(
+    folder: Path,
+    lamps_m: Array,
+    poses: list[tuple[float, float]],
+    *,
+    rod: bool = False,
+    noise: float = 0.001,
+    brdf: Callable[..., Array] = shell,
+    seed: int = 0,
+    distance_m: float = 0.35,
+    exposure: float = 0.2,
+) -> Series:
     """Photographs of a flat sample, or of a rod, on a board with a white field; near lamps that
     stand beside the board; the camera moves (`poses`: azimuth, away from the normal, degrees)."""
-
-    def make(
-        lamps_m: Array,
-        poses: list[tuple[float, float]],
-        *,
-        rod: bool = False,
-        noise: float = 0.001,
-        brdf: Callable[..., Array] = shell,
-        seed: int = 0,
-        name: str = "b",
-    ) -> Series:
-        folder = tmp_path / name
-        folder.mkdir()
-        random = np.random.default_rng(seed)
-        y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
-        photos, entries, mask = [], [], np.zeros(SIZE, bool)
-        for k, (lamp, (turn, away)) in enumerate(zip(lamps_m, poses, strict=True)):
-            rotation, shift = looking(turn, away, 0.35)
-            ray = np.stack([(x - 319.5) / 900, (y - 239.5) / 900, np.ones_like(x)], -1)
-            ray = unit(ray.reshape(-1, 3)) @ rotation
-            start = -rotation.T @ shift
-            point = start + (-start[2] / ray[:, 2])[:, None] * ray
-            normal = np.broadcast_to([0.0, 0.0, -1.0], point.shape).copy()
-            inside = [
-                ((point[:, :2] > c.min(0)) & (point[:, :2] < c.max(0))).all(1)
-                for c in (FLAT_M, WHITE_M)
-            ]
-            if rod:  # the circle y = 0.06, z = −r, from x = 0.02 to 0.12
-                o = start[1:] - [0.06, -ROD_RADIUS_M]
-                d = ray[:, 1:]
-                b, c = d @ o, (o**2).sum() - ROD_RADIUS_M**2
-                square = b**2 - (d**2).sum(1) * c
-                reach = (-b - np.sqrt(np.clip(square, 0, None))) / (d**2).sum(1)
-                on = start + reach[:, None] * ray
-                hit = (square > 0) & (on[:, 0] > 0.02) & (on[:, 0] < 0.12)
-                point[hit] = on[hit]
-                normal[hit] = unit((on - [0, 0.06, -ROD_RADIUS_M]) * [0, 1, 1])[hit]
-                inside = [hit, inside[1] & ~hit]
-                mask |= hit.reshape(SIZE)
-            to = lamp - point
-            fall = 0.09 / (to**2).sum(1)
-            to = unit(to)
-            lit = np.clip((normal * to).sum(1), 0, None) * fall
-            f = np.full((len(point), 3), 0.1 / np.pi)
-            f[inside[0]] = brdf(normal[inside[0]], to[inside[0]], -ray[inside[0]])
-            f[inside[1]] = 0.9 / np.pi
-            linear = (0.2 * np.pi * f * lit[:, None]).reshape(*SIZE, 3)
-            linear = cv2.GaussianBlur(linear, (0, 0), 0.5)
-            linear += noise * np.sqrt(np.abs(linear) + 0.01) * random.normal(size=linear.shape)
-            photos.append(folder / f"photo{k}.png")
-            write_photo(photos[-1], linear)
-            entries.append(
-                {
-                    "file": photos[-1].name,
-                    "corners": 24,
-                    "reprojection_rms_px": 0.2,
-                    "rotation_board_to_camera": rotation.tolist(),
-                    "translation_board_to_camera_m": shift.tolist(),
-                }
-            )
-        camera = {"format": "raden capture", "version": 1, "kind": "camera", "made_from": []}
-        camera |= {"camera_matrix_px": CAMERA_PX.tolist(), "distortion": [0.0] * 5}
-        camera |= {"image_width_px": SIZE[1], "image_height_px": SIZE[0]}
-        board = {"columns": 5, "rows": 7, "square_m": 0.04, "marker_m": 0.02}
-        camera |= {"board": board | {"dictionary": "DICT_6X6_250", "legacy": False}}
-        (folder / "camera.json").write_text(json.dumps(camera | {"poses": entries}))
-        rotation, shift = looking(*poses[0], 0.35)
-        position = 1000 * (lamps_m @ rotation.T + shift) * Y_DOWN
-        middle = 1000 * (rotation @ np.array([0.07, 0.06, 0.0]) + shift) * Y_DOWN
-        # relative irradiance at the sample's middle: of equal lamps, by their distance
-        power = 1 / ((position - middle) ** 2).sum(1)
-        write_lights(
-            folder / "lights.json", unit(position - middle), power / power.mean(), position, "mm"
+    random = np.random.default_rng(seed)
+    y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+    photos, entries, mask = [], [], np.zeros(SIZE, bool)
+    for k, (lamp, (turn, away)) in enumerate(zip(lamps_m, poses, strict=True)):
+        rotation, shift = looking(turn, away, distance_m)
+        ray = np.stack([(x - 319.5) / 900, (y - 239.5) / 900, np.ones_like(x)], -1)
+        ray = unit(ray.reshape(-1, 3)) @ rotation
+        start = -rotation.T @ shift
+        point = start + (-start[2] / ray[:, 2])[:, None] * ray
+        normal = np.broadcast_to([0.0, 0.0, -1.0], point.shape).copy()
+        inside = [
+            ((point[:, :2] > c.min(0)) & (point[:, :2] < c.max(0))).all(1)
+            for c in (FLAT_M, WHITE_M)
+        ]
+        if rod:  # the circle y = 0.06, z = −r, from x = 0.02 to 0.12
+            o = start[1:] - [0.06, -ROD_RADIUS_M]
+            d = ray[:, 1:]
+            b, c = d @ o, (o**2).sum() - ROD_RADIUS_M**2
+            square = b**2 - (d**2).sum(1) * c
+            reach = (-b - np.sqrt(np.clip(square, 0, None))) / (d**2).sum(1)
+            on = start + reach[:, None] * ray
+            hit = (square > 0) & (on[:, 0] > 0.02) & (on[:, 0] < 0.12)
+            point[hit] = on[hit]
+            normal[hit] = unit((on - [0, 0.06, -ROD_RADIUS_M]) * [0, 1, 1])[hit]
+            inside = [hit, inside[1] & ~hit]
+            mask |= hit.reshape(SIZE)
+        to = lamp - point
+        fall = 0.09 / (to**2).sum(1)
+        to = unit(to)
+        lit = np.clip((normal * to).sum(1), 0, None) * fall
+        f = np.full((len(point), 3), 0.1 / np.pi)
+        f[inside[0]] = brdf(normal[inside[0]], to[inside[0]], -ray[inside[0]])
+        f[inside[1]] = 0.9 / np.pi
+        linear = (exposure * np.pi * f * lit[:, None]).reshape(*SIZE, 3)
+        linear = cv2.GaussianBlur(linear, (0, 0), 0.5)
+        linear += noise * np.sqrt(np.abs(linear) + 0.01) * random.normal(size=linear.shape)
+        photos.append(folder / f"photo{k}.png")
+        write_photo(photos[-1], linear)
+        entries.append(
+            {
+                "file": photos[-1].name,
+                "corners": 24,
+                "reprojection_rms_px": 0.2,
+                "rotation_board_to_camera": rotation.tolist(),
+                "translation_board_to_camera_m": shift.tolist(),
+            }
         )
-        cv2.imwrite(str(folder / "mask.png"), 255 * mask.astype(np.uint8))
-        return Series(
-            folder, photos, folder / "lights.json", folder / "mask.png", folder / "none.png",
-            lamps_m, {"camera": folder / "camera.json"},
-        )  # fmt: skip
+    camera = {"format": "raden capture", "version": 1, "kind": "camera", "made_from": []}
+    camera |= {"camera_matrix_px": CAMERA_PX.tolist(), "distortion": [0.0] * 5}
+    camera |= {"image_width_px": SIZE[1], "image_height_px": SIZE[0]}
+    board = {"columns": 5, "rows": 7, "square_m": 0.04, "marker_m": 0.02}
+    camera |= {"board": board | {"dictionary": "DICT_6X6_250", "legacy": False}}
+    (folder / "camera.json").write_text(json.dumps(camera | {"poses": entries}))
+    rotation, shift = looking(*poses[0], distance_m)
+    position = 1000 * (lamps_m @ rotation.T + shift) * Y_DOWN
+    middle = 1000 * (rotation @ np.array([0.07, 0.06, 0.0]) + shift) * Y_DOWN
+    # relative irradiance at the sample's middle: of equal lamps, by their distance
+    power = 1 / ((position - middle) ** 2).sum(1)
+    write_lights(
+        folder / "lights.json", unit(position - middle), power / power.mean(), position, "mm"
+    )
+    cv2.imwrite(str(folder / "mask.png"), 255 * mask.astype(np.uint8))
+    return Series(
+        folder, photos, folder / "lights.json", folder / "mask.png", folder / "none.png",
+        lamps_m, {"camera": folder / "camera.json"},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def board_series(tmp_path: Path) -> Callable[..., Series]:
+    """`board_photographs` in a folder of this name."""
+
+    def make(*args: object, name: str = "b", **options: object) -> Series:
+        (tmp_path / name).mkdir()
+        return board_photographs(tmp_path / name, *args, **options)
 
     return make
 
@@ -363,6 +369,7 @@ class BoardBench:
 
     def __init__(self, make: Callable[..., Series]) -> None:
         self.series, self.arguments, self.lamps = make, board_setup, board_lamps
+        self.truth_at = node_truth
 
     def run(self, case: str) -> CapturedBrdf:
         count, rod = 24, case != "plane"

@@ -1,0 +1,140 @@
+"""Where piece, lamp and camera stand for planned photographs, and how the angles fill up."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from raden_torch.arrays import Floats
+from raden_torch.capture.photo.guide.plan import Plan
+from raden_torch.capture.photo.guide.set_up import HAND, Stance
+from raden_torch.plots.plot_style import INK, SMALL, TEXT, UNMEASURED, families, printable
+from raden_torch.reflectance.symmetric_kriging import symmetric_images
+
+_LAMP, _CAMERA, _PIECE = "#e0902a", "#2f6db0", "#9aa0a6"
+_SLABS_DEG = (10, 30, 50, 70)
+_LIMIT_DEG, _STEP_DEG = 80, 5
+_DPI = 110
+_MOST_NUMBERS = 40
+
+
+def draw_plan(plan: Plan) -> Figure:
+    """From above, from the side, the expected error, and the coverage filling up."""
+    figure = Figure(figsize=(11.5, 8.2), dpi=_DPI, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    parts: Any = figure.subfigures(2, 1, height_ratios=(1.25, 1))
+    above, below = parts
+    top, side, error = above.subplots(1, 3, width_ratios=(1.25, 1.25, 0.8))
+    _draw_places(top, plan, up=1, title="from above (cm)")
+    _draw_places(side, plan, up=2, title="from the side (cm)")
+    _draw_error(error, plan)
+    _draw_filling(below, plan)
+    figure.suptitle(
+        printable(plan.head()), fontsize=TEXT, family=families(plan.head()), parse_math=False
+    )
+    return figure
+
+
+def _draw_places(ax: Axes, plan: Plan, *, up: int, title: str) -> None:
+    """Over the table, in the frame of its instructions; `up` is the axis that points up."""
+    lamps, cameras = (np.array([_over_table(s, which) for s in plan.stances])
+                      for which in ("lamp", "camera"))  # fmt: skip
+    width, height = (size / 10 for size in plan.piece.size_mm)
+    if up == 1:
+        corner, shown = (-width / 2, -height / 2), (width, height)
+    else:
+        corner, shown = (-width / 2, -0.8), (width, 0.8)
+        ax.axhline(0, color=INK, linewidth=0.8)
+    ax.add_patch(Rectangle(corner, *shown, facecolor=_PIECE, edgecolor=INK, linewidth=0.6))
+    for places, colour, marker, name in (
+        (cameras, _CAMERA, "s", "camera"),
+        (lamps, _LAMP, "o", "lamp"),
+    ):
+        ax.plot(places[:, 0], places[:, up], marker, color=colour, markersize=4, label=name)
+        for place, numbers in _numbers(places[:, [0, up]]):
+            ax.annotate(numbers, place, xytext=(3, 2), textcoords="offset points",
+                        fontsize=SMALL - 2, color=colour)  # fmt: skip
+    start = {HAND: "mark"}.get(plan.set_up.kind, "camera's side")
+    ax.set_xlabel(f"0 deg: the {start} →" if up == 1 else "", fontsize=SMALL)
+    ax.set_title(title, fontsize=SMALL, color=INK)
+    ax.set_aspect("equal", adjustable="box")
+    reach = 1.08 * float(np.linalg.norm(np.concatenate([lamps, cameras]), axis=1).max())
+    ax.set_xlim(-reach, reach)
+    ax.set_ylim(-reach if up == 1 else -0.12 * reach, reach)
+    ax.tick_params(labelsize=SMALL - 1, length=2)
+    if up == 1:
+        ax.legend(fontsize=SMALL - 1, loc="upper left", frameon=False)
+
+
+def _over_table(stance: Stance, which: str) -> tuple[float, float, float]:
+    """x, y, z in cm."""
+    polar, azimuth = (
+        np.radians(getattr(stance, f"{which}_{part}"))
+        for part in ("from_vertical_deg", "azimuth_deg")
+    )
+    far = getattr(stance, f"{which}_distance_mm") / 10
+    return (
+        far * float(np.sin(polar) * np.cos(azimuth)),
+        far * float(np.sin(polar) * np.sin(azimuth)),
+        far * float(np.cos(polar)),
+    )
+
+
+def _numbers(places: Floats) -> list[tuple[tuple[float, float], str]]:
+    """Each place once, with the first of its photographs."""
+    at, first, count = np.unique(np.round(places, 1), axis=0, return_index=True, return_counts=True)
+    order = np.argsort(first)[:_MOST_NUMBERS]
+    return [
+        ((float(at[k, 0]), float(at[k, 1])), f"{first[k] + 1}" + ("…" if count[k] > 1 else ""))
+        for k in order
+    ]
+
+
+def _draw_error(ax: Axes, plan: Plan) -> None:
+    ax.plot(np.arange(len(plan.expected)), 100 * plan.expected, "-", color=INK, linewidth=1.2)
+    ax.set_yscale("log")
+    ax.set_title("expected error of the hemisphere (%)", fontsize=SMALL, color=INK)
+    ax.set_xlabel("photographs", fontsize=SMALL)
+    ax.tick_params(labelsize=SMALL - 1, length=2, which="both")
+    ax.grid(color="0.9", which="both", linewidth=0.5)
+
+
+def _draw_filling(figure: Any, plan: Plan) -> None:
+    """Which photograph reads each cell first, with what the declared symmetries say of it."""
+    table = first_photograph(plan)
+    axes = figure.subplots(1, len(_SLABS_DEG), sharey=True)
+    edge = _LIMIT_DEG + _STEP_DEG / 2
+    shown = None
+    for ax, incidence in zip(axes, _SLABS_DEG, strict=True):
+        ax.set_facecolor(UNMEASURED)
+        slab = np.ma.masked_less(table[incidence // _STEP_DEG].T, 0)
+        shown = ax.imshow(slab, extent=(-edge, edge, -edge, edge), origin="lower",
+                          cmap="viridis_r", vmin=0, vmax=max(len(plan.stances), 1))  # fmt: skip
+        ax.axvline(incidence, color="white", linewidth=0.8, linestyle=(0, (4, 2)))
+        ax.set_title(f"incidence {incidence}°", fontsize=SMALL, color=INK, pad=3)
+        ax.set_xlabel("receiving (°)", fontsize=SMALL)
+        ax.tick_params(labelsize=SMALL - 1, length=2)
+    axes[0].set_ylabel("tilt (°)", fontsize=SMALL)
+    if shown is not None:
+        bar = figure.colorbar(shown, ax=list(axes), shrink=0.85, aspect=25, pad=0.01)
+        bar.set_label("read first by photograph (0: before)", fontsize=SMALL)
+        bar.ax.tick_params(labelsize=SMALL - 1)
+
+
+def first_photograph(plan: Plan) -> NDArray[np.int64]:
+    """`[A, R, T]` on steps of 5 degrees to 80: the photograph, from 1, that reads a cell first; 0
+    what was read before, −1 nothing."""
+    side = _LIMIT_DEG // _STEP_DEG
+    table = np.full((side + 1, 2 * side + 1, 2 * side + 1), -1, np.int64)
+    for number, angles in reversed(list(enumerate([plan.known, *plan.readings]))):
+        images = symmetric_images(angles, plan.assume)
+        node = np.rint(images / _STEP_DEG).astype(int)
+        node = node[(node[:, 0] >= 0) & (abs(node) <= side).all(axis=1)]
+        table[node[:, 0], node[:, 1] + side, node[:, 2] + side] = number
+    return table
