@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
@@ -99,6 +100,9 @@ def _numbers(places: Floats) -> list[tuple[tuple[float, float], str]]:
 def _draw_error(ax: Axes, plan: Plan) -> None:
     ax.plot(np.arange(len(plan.expected)), 100 * plan.expected, "-", color=INK, linewidth=1.2)
     ax.set_yscale("log")
+    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_formatter(NullFormatter())
     ax.set_title("expected error of the hemisphere (%)", fontsize=SMALL, color=INK)
     ax.set_xlabel("photographs", fontsize=SMALL)
     ax.tick_params(labelsize=SMALL - 1, length=2, which="both")
@@ -124,6 +128,8 @@ def _draw_filling(figure: Any, plan: Plan) -> None:
     if shown is not None:
         bar = figure.colorbar(shown, ax=list(axes), shrink=0.85, aspect=25, pad=0.01)
         bar.set_label("read first by photograph (0: before)", fontsize=SMALL)
+        bar.locator = MaxNLocator(integer=True)
+        bar.update_ticks()
         bar.ax.tick_params(labelsize=SMALL - 1)
 
 
