@@ -117,14 +117,18 @@ def photographed(folder: Path, name: str, shape: str, count: int, bits: int, sid
     for k, picture in enumerate(stored):
         cv2.imwrite(str(folder / f"photo{k:02d}.png"), picture[..., ::-1])
     cv2.imwrite(str(folder / "mask.png"), 255 * mask.astype(np.uint8))
+    write_lights(folder / "lights.json", lamps)
+    return normal
+
+
+def write_lights(path: Path, lamps: Array) -> None:
     rows = [
         {"photograph": f"photo{k:02d}.png", "direction_to_lamp": lamp.tolist(), "intensity": 1.0}
         for k, lamp in enumerate(lamps)
     ]
     said = {"format": "raden capture", "version": 1, "kind": "lights", "made_from": []}
     said |= {"unit": "px", "response_exponent": 1.0, "lamps": rows}
-    (folder / "lights.json").write_text(json.dumps(said))
-    return normal
+    path.write_text(json.dumps(said))
 
 
 def off_deg(found: torch.Tensor, true: Array, mask: Array) -> Array:

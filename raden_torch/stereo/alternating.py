@@ -126,13 +126,7 @@ def _thinned(light: ObservedLight, most: int) -> ObservedLight:
 
 def _with(material: RuntimeBrdf, light: ObservedLight) -> ModelNormals:
     """Normals by a material of which the scale is not known."""
-    channels = light.value.shape[1]
-    facing = shown(
-        material,
-        light.view.mean(-1, keepdim=True),
-        *light.middle,
-        channels=channels,
-    )
+    facing = shown(material, light.middle.view, light.middle)
     scale = math.log(max(float(light.value.mean() / facing.mean()), 1e-12))
     return solve_by_model([material], light, known=Known((scale, 1.5), 1.0))
 

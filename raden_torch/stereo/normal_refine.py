@@ -86,15 +86,7 @@ class _Problem:
     prior: tuple[float, float] | None
 
     def radiance(self, normal: Tensor) -> Tensor:
-        light = self.light
-        return shown(
-            self.material,
-            normal,
-            light.light,
-            light.strength,
-            light.view,
-            channels=light.value.shape[1],
-        )
+        return shown(self.material, normal, self.light)
 
     def residual(self, normal: Tensor, log_gain: Tensor) -> Tensor:
         """`[K, C, P]`"""
@@ -119,8 +111,8 @@ class _Problem:
         columns.append(residual + light.value * light.weight)  # g p/σ
         robust = light.usable / (1 + (residual / _CAUCHY) ** 2)
         pixels = residual.shape[-1]
-        columns = [c.reshape(-1, pixels) for c in (*columns, residual)]
-        robust = robust.reshape(-1, pixels)
+        columns = [c.flatten(0, 1) for c in (*columns, residual)]
+        robust = robust.flatten(0, 1)
         moments = residual.new_empty(4, 4, pixels)
         for i, a in enumerate(columns):
             weighted = a * robust

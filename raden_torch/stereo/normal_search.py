@@ -12,6 +12,8 @@ from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.stereo.observed_light import ObservedLight, shown
 
 _STEP_DEG = 3.0
+_MOST_TILT_DEG = 30.0
+"""Of film layers below a known surface."""
 _NEAR_DEG = 6.0
 """Normals closer than this count as one start."""
 _COARSE = 6.0
@@ -70,10 +72,12 @@ def search(
     Args:
         gain: mean and standard deviation of the logarithm of the scale where it is known.
     """
-    to, strength, view = light.middle
-    normals = hemisphere(view[:, 0])
-    channels = light.value.shape[1]
-    table = shown(material, normals, to, strength, view, channels=channels).flatten(0, 1)
+    middle = light.middle
+    if middle.surface is None:
+        normals = hemisphere(middle.view[:, 0])
+    else:
+        normals = hemisphere(middle.surface[:, 0], _STEP_DEG / 2, _MOST_TILT_DEG)
+    table = shown(material, normals, middle).flatten(0, 1)
     square = table * table
     near = normals.T @ normals > math.cos(math.radians(_NEAR_DEG))
     taken = torch.where(near, torch.inf, 0.0)

@@ -24,6 +24,8 @@ class ObservedLight:
         strength: `[K, 1, P or 1]`, the lamps' irradiance there, relative.
         view: `[3, P or 1]` unit vectors to the camera.
         floor: the standard deviation of a dark value, in the unit of `value`.
+        surface: `[3, P or 1]` normals of the surface where these are known: it is then the film
+            layers below it that turn (`GBuffer.layer_normal`).
     """
 
     value: Tensor
@@ -32,6 +34,7 @@ class ObservedLight:
     strength: Tensor
     view: Tensor
     floor: float
+    surface: Tensor | None = None
 
     def at(self, index: Tensor) -> ObservedLight:
         """Some of the pixels, by their numbers or as a mask."""
@@ -46,6 +49,7 @@ class ObservedLight:
             part(self.strength),
             part(self.view),
             self.floor,
+            None if self.surface is None else part(self.surface),
         )
 
     @property
@@ -58,38 +62,36 @@ class ObservedLight:
         return self.usable / (RELATIVE_NOISE * self.value + self.floor)
 
     @property
-    def middle(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Light, strength and view at the pixels' mean, `[..., 1]` each."""
-        light, view = self.light.mean(-1, keepdim=True), self.view.mean(-1, keepdim=True)
-        light = light / light.norm(dim=1, keepdim=True)
-        view = view / view.norm(dim=0, keepdim=True)
-        return light, self.strength.mean(-1, keepdim=True), view
+    def middle(self) -> ObservedLight:
+        """One pixel, lit and seen as the pixels' mean is, without values."""
+
+        def mean(m: Tensor, across: int) -> Tensor:
+            m = m.mean(-1, keepdim=True)
+            return m / m.norm(dim=across, keepdim=True)
+
+        return ObservedLight(
+            self.value[..., :0],
+            self.usable[..., :0],
+            mean(self.light, 1),
+            self.strength.mean(-1, keepdim=True),
+            mean(self.view, 0),
+            self.floor,
+            None if self.surface is None else mean(self.surface, 0),
+        )
 
 
-def shown(
-    material: Reflection,
-    normal: Tensor,
-    light: Tensor,
-    strength: Tensor,
-    view: Tensor,
-    *,
-    channels: int = 3,
-    layers: Tensor | None = None,
-) -> Tensor:
+def shown(material: Reflection, normal: Tensor, light: ObservedLight) -> Tensor:
     """`[K, C, P]` radiance s f_r(N, L, V) N·L of unit normals `[3, P]`; 0 in the own shadow.
 
-    Args:
-        light, strength, view: as in `ObservedLight`.
-        layers: `[3, P]` normals of the film layers, where the material turns with them and the
-            irradiance stays that of `normal` (`GBuffer.layer_normal`).
+    Where the surface is known, `normal` is that of the film layers, and the cosine the surface's.
     """
-    count, pixels = len(light), normal.shape[-1]
+    count, pixels = len(light.light), normal.shape[-1]
     size = (count, 3, 1, pixels)
-    turned = (normal if layers is None else layers)[None, :, None].expand(size)
-    to, v = light[:, :, None].expand(size), view[None, :, None].expand(size)
-    f = material.of_unit_vectors(turned, to, v)[:, :, 0]
-    x, y, z = normal
-    facing = light[:, 0] * x + light[:, 1] * y + light[:, 2] * z  # far faster than a sum over xyz
-    seen = view[0] * x + view[1] * y + view[2] * z > 0
-    radiance = f * (facing.clamp(min=0) * seen * strength[:, 0])[:, None]
-    return radiance if channels == 3 else radiance.mean(1, keepdim=True)
+    to, v = light.light[:, :, None].expand(size), light.view[None, :, None].expand(size)
+    f = material.of_unit_vectors(normal[None, :, None].expand(size), to, v)[:, :, 0]
+    x, y, z = normal if light.surface is None else light.surface
+    # far faster than a sum over xyz
+    facing = light.light[:, 0] * x + light.light[:, 1] * y + light.light[:, 2] * z
+    seen = light.view[0] * x + light.view[1] * y + light.view[2] * z > 0
+    radiance = f * (facing.clamp(min=0) * seen * light.strength[:, 0])[:, None]
+    return radiance if light.value.shape[1] == 3 else radiance.mean(1, keepdim=True)

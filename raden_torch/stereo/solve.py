@@ -150,15 +150,7 @@ def residuals(
     radiance = torch.zeros_like(light.value)
     for place, material in enumerate(materials):
         of = (found.member == place).nonzero()[:, 0]
-        part = light.at(of)
-        radiance[..., of] = shown(
-            material,
-            found.normal[:, of],
-            part.light,
-            part.strength,
-            part.view,
-            channels=light.value.shape[1],
-        )
+        radiance[..., of] = shown(material, found.normal[:, of], light.at(of))
     radiance = radiance * found.gain
     usual = radiance.mean((0, 1)).clamp(min=1e-12)
     off = (radiance - light.value).abs().mean(1) / usual
