@@ -31,7 +31,8 @@ from raden_torch.brdf.files.gbuffer_file import read_gbuffer
 from raden_torch.brdf.materials.urushi import black_urushi
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.optics.specimens import SPECIMENS, reflectance_factors
-from raden_torch.stereo.capture_texture import TextureOptions, capture_texture, write_inlay
+from raden_torch.stereo.capture_texture import TextureOptions, capture_texture
+from raden_torch.stereo.inlay_file import write_inlay
 
 Array = np.ndarray
 SHELLS = ("yakogai", "awabi", "mexican")
@@ -93,60 +94,84 @@ def photographed(folder: Path, maps: PieceMaps, lamps: Array) -> list[Path]:
     return photos
 
 
+def case(
+    folder: Path, maps: PieceMaps, count: int, models: tuple[Path, ...], how: dict
+) -> tuple[dict, Array, Array]:
+    """A row of the result, and the inlay under the lamp that was held out, as found and true."""
+    solid = maps.coverage[0].numpy() > 0.99
+    lamps = lamps_around(count + 1)
+    out, lamps = lamps[count // 2], np.delete(lamps, count // 2, 0)
+    photos, true = photographed(folder, maps, lamps), radiance(maps, out)
+    wanted = np.array(maps.shells)[maps.shell[0].numpy()]
+    index = np.array([1 + SHELLS.index(name) for name in maps.shells])[maps.shell[0].numpy()]
+    shown = np.where(maps.coverage[0].numpy() > 0.5, index, 0).astype(np.uint8)
+    cv2.imwrite(str(folder / "map.png"), shown)
+    given = folder / "map.png" if how["map"] else None
+    options = TextureOptions(models, coded="linear", **{**how, "map": given})
+    started = time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = capture_texture(photos, folder / "lights.json", None, options)
+    seconds = time.perf_counter() - started
+    write_inlay(found, folder, photos, options)
+    image = relit(folder, out)
+    off = delta_e(image, true)
+    names = np.array(["ground", *SHELLS])[found.inlay.material.reshape(solid.shape).numpy()]
+    row = {
+        "simulated": True,
+        "lamps": count,
+        **how,
+        "shell_right": round(float((names == wanted)[solid].mean()), 4),
+        "shell_median_de2000": round(float(np.median(off[solid])), 3),
+        "shell_q95_de2000": round(float(np.quantile(off[solid], 0.95)), 3),
+        "all_median_de2000": round(float(np.median(off)), 3),
+        "pixels_per_s": round(off.size / seconds),
+    }
+    print(json.dumps(row), flush=True)
+    return row, image, true
+
+
+HOW = (
+    {"map": False, "per_pixel": False, "gain": False},
+    {"map": False, "per_pixel": False, "gain": True},
+    {"map": False, "per_pixel": True, "gain": False},
+    {"map": True, "per_pixel": False, "gain": False},
+    {"map": True, "per_pixel": True, "gain": False},
+)
+
+
+def fitted(folder: Path) -> tuple[Path, ...]:
+    models = tuple(folder / f"{name}.safetensors" for name in SHELLS)
+    for name, path in zip(SHELLS, models, strict=True):
+        rt.save_model(rt.fit(rt.simulate_specimen(name)).model, path)
+    return models
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--picture", type=Path)
-    parser.add_argument("--side", type=int, default=128)
+    parser.add_argument("--side", type=int, default=112)
     options = parser.parse_args()
-    maps = artwork(options.side)
-    solid = maps.coverage[0].numpy() > 0.99
-    rows, pictures = [], []
+    maps, rows, pictures = artwork(options.side), [], []
     with TemporaryDirectory() as made:
-        models = []
-        for name in SHELLS:
-            models.append(Path(made) / f"{name}.safetensors")
-            rt.save_model(rt.fit(rt.simulate_specimen(name)).model, models[-1])
+        models = fitted(Path(made))
         for count in (5, 8, 12):
-            lamps = lamps_around(count + 1)
-            out, lamps = lamps[count // 2], np.delete(lamps, count // 2, 0)
-            photos = photographed(Path(made), maps, lamps)
-            true = radiance(maps, out)
-            for per_pixel, gain in ((False, False), (False, True), (True, False)):
-                how = TextureOptions(tuple(models), per_pixel=per_pixel, gain=gain, coded="linear")
-                started = time.perf_counter()
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
-                    found = capture_texture(photos, Path(made) / "lights.json", None, how)
-                seconds = time.perf_counter() - started
-                write_inlay(found, Path(made), photos, how)
-                image = relit(Path(made), out)
-                off = delta_e(image, true)
-                right = found.inlay.material.reshape(solid.shape).numpy()
-                names = np.array(["ground", *SHELLS])[right]
-                wanted = np.array(maps.shells)[maps.shell[0].numpy()]
-                rows.append(
-                    {
-                        "simulated": True,
-                        "lamps": count,
-                        "layers": "pixel" if per_pixel else "piece",
-                        "gain": gain,
-                        "shell_right": round(float((names == wanted)[solid].mean()), 4),
-                        "shell_median_de2000": round(float(np.median(off[solid])), 3),
-                        "shell_q95_de2000": round(float(np.quantile(off[solid], 0.95)), 3),
-                        "all_median_de2000": round(float(np.median(off)), 3),
-                        "pixels_per_s": round(off.size / seconds),
-                    }
-                )
-                print(json.dumps(rows[-1]), flush=True)
-                if count == 8:
-                    pictures += [image] if len(pictures) else [true, image]
+            for how in HOW:
+                row, image, true = case(Path(made), maps, count, models, how)
+                rows.append(row)
+                if count == 8 and how["map"]:
+                    pictures += [image] if pictures else [true, image]
     options.output.write_text(json.dumps(rows, indent=1) + "\n")
     if options.picture is not None:
-        shown = np.concatenate(pictures, 1) / np.quantile(pictures[0].max(-1), 0.995)
-        coded = np.rint(255 * shown.clip(0, 1) ** (1 / 2.2)).astype(np.uint8)
-        large = cv2.resize(coded[..., ::-1], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
-        cv2.imwrite(str(options.picture), large, [cv2.IMWRITE_JPEG_QUALITY, 90])
+        write_picture(pictures, options.picture)
+
+
+def write_picture(pictures: list[Array], path: Path) -> None:
+    shown = np.concatenate(pictures, 1) / np.quantile(pictures[0].max(-1), 0.995)
+    coded = np.rint(255 * shown.clip(0, 1) ** (1 / 2.2)).astype(np.uint8)
+    large = cv2.resize(coded[..., ::-1], None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST)
+    cv2.imwrite(str(path), large, [cv2.IMWRITE_JPEG_QUALITY, 90])
 
 
 if __name__ == "__main__":

@@ -71,7 +71,8 @@ def texture(
 ) -> None:
     from raden_torch.plots.capture_figures import draw_inlay
     from raden_torch.plots.sheet import save_plot
-    from raden_torch.stereo.capture_texture import capture_texture, paths_in, write_inlay
+    from raden_torch.stereo.capture_texture import capture_texture
+    from raden_torch.stereo.inlay_file import paths_in, write_inlay
 
     if output.exists() and not output.is_dir():
         raise InputError(f"{output}: expected a folder, got a file")

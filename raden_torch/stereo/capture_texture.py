@@ -6,39 +6,27 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.brdf.files.image_file import read_normal_map
 from raden_torch.brdf.files.lit_model import load_lit
-from raden_torch.brdf.files.model_file import save_model
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.materials.urushi import black_urushi
 from raden_torch.capture.photo.capture_normals import LitSet, odd_lamps, read_lit_set
 from raden_torch.capture.photo.colour import read_colour
-from raden_torch.capture.photo.result_file import write_result
-from raden_torch.capture.photo.segmentation import segment
 from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
-from raden_torch.images.exr import write_channels
-from raden_torch.images.pixels import read_pixels, write_pixels
 from raden_torch.stereo.inlay import Inlay, find_inlay
 from raden_torch.stereo.lamp_assignment import check_order, refuse
 from raden_torch.stereo.photographed import Photographed
+from raden_torch.stereo.pieces import pieces_of
 from raden_torch.stereo.solve import ModelNormals, residuals
 
-FILES = {
-    "gbuffer": "inlay.exr",
-    "palette": "palette.safetensors",
-    "material": "material.png",
-    "mask": "mask.png",
-}
-_FEWEST_PX = 4
+_UNEVEN_DEG = 2.0
+"""Layers that vary by more within a piece are seen as such."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +137,7 @@ def capture_texture(
         coded=options.coded,
         progress=lambda share: done(0.2 * share),
     )
-    pieces, known = _pieces(given, options)
+    pieces, known = pieces_of(given, options.map, len(options.models), options.smallest_px)
     surface = _surface(given, options.normals)
     correction = None if options.colour is None else read_colour(options.colour)
     seen = Photographed.of(given, correction)
@@ -166,67 +154,16 @@ def capture_texture(
     if wrong is not None and not options.keep_order:
         raise refuse(wrong, photographs[0])
     notes = [*([wrong] if wrong else []), *odd_lamps(residual, photographs)]
+    uneven = sum(piece.varies_deg > _UNEVEN_DEG for piece in inlay.pieces)
+    if uneven and not options.per_pixel:
+        notes.append(
+            f"in {uneven} of {len(inlay.pieces)} pieces the layers lean by more than "
+            f"{_UNEVEN_DEG:g} degrees to and fro, which one normal a piece leaves out: `per_pixel` "
+            "keeps it"
+        )
     for note in notes:
         warnings.warn(note, stacklevel=2)
     return FoundInlay(inlay, palette, given, surface, residual, tuple(notes))
-
-
-def paths_in(folder: Path) -> list[Path]:
-    """What `write_inlay` writes there: the result, then `FILES`."""
-    return [folder / "inlay.json", *(folder / name for name in FILES.values())]
-
-
-def write_inlay(
-    found: FoundInlay, folder: Path, photographs: Sequence[Path], options: TextureOptions
-) -> list[Path]:
-    """Write palette, G-buffer, maps and inlay.json into a folder that exists; returns the files."""
-    inlay, (height, width) = found.inlay, found.given.photos.size
-    result, gbuffer, palette, material, mask = paths_in(folder)
-
-    def maps(values: Tensor) -> NDArray[np.float32]:
-        return values.reshape(-1, height, width).float().numpy()
-
-    inside = (found.given.mask > 0.5).astype(np.float32)
-    index = maps(inlay.material)[0]
-    channels = {f"normal.{c}": m for c, m in zip("XYZ", maps(found.surface), strict=True)}
-    channels |= {
-        f"layer_normal.{c}": m for c, m in zip("XYZ", maps(inlay.layer_normal), strict=True)
-    }
-    channels |= {"material.V": index, "mask.V": inside, "error_deg.V": maps(inlay.error_deg)[0]}
-    if options.gain:
-        gain = maps(inlay.gain).repeat(3 // len(inlay.gain), 0)
-        channels |= {f"gain.{c}": m for c, m in zip("RGB", gain, strict=True)}
-    save_model(found.palette, palette)
-    write_channels(gbuffer, channels)
-    write_pixels(index.astype(np.uint8), material)
-    write_pixels((255 * inside).astype(np.uint8), mask)
-    usual = float(found.residual.nanmedian())
-    content: dict[str, Any] = {
-        "frame": "x right, y up, z to the viewer",
-        "materials": list(found.palette.names),
-        "exposure": inlay.exposure,
-        "files": FILES,
-        "layers": "each pixel its own" if options.per_pixel else "one normal a piece",
-        "pieces": [
-            {
-                "pixels": piece.pixels,
-                "material": piece.material,
-                **({} if piece.layer_normal is None else {"layer_normal": piece.layer_normal}),
-                "error_deg": round(piece.error_deg, 3),
-                "residual": round(piece.residual, 3),
-                **({} if piece.runner_up is None else {"runner_up": round(piece.runner_up, 3)}),
-            }
-            for piece in inlay.pieces
-        ],
-        "photographs": [
-            {"photograph": path.name, "relative_residual": round(float(r), 4)}
-            for path, r in zip(photographs, found.residual, strict=True)
-        ],
-        "median_residual": round(usual, 4),
-        "notes": list(found.notes),
-    }
-    write_result(result, "inlay", content, made_from=photographs)
-    return [result, gbuffer, palette, material, mask]
 
 
 def _one(path: Path) -> Reflection:
@@ -239,61 +176,6 @@ def _one(path: Path) -> Reflection:
             )
         return model[0]
     return model
-
-
-def _pieces(
-    given: LitSet, options: TextureOptions
-) -> tuple[NDArray[np.int32], NDArray[np.int64] | None]:
-    """Numbered from 1 by falling area, `[H, W]`; and the shell of each where a map tells."""
-    import cv2
-
-    if options.map is None:
-        photos = [p.movedim(0, -1).numpy() for p in given.photos.images]
-        shells = len(options.models)
-        index = segment(photos, shells, smallest_px=options.smallest_px).index.astype(np.int64)
-    else:
-        index = _read_map(options.map, given.photos.size, len(options.models))
-    index = np.where(given.mask > 0.5, index, 0)
-    pieces, shell = np.zeros(index.shape, np.int32), []
-    sizes: list[tuple[int, int, int]] = []
-    labels = {}
-    for value in range(1, int(index.max(initial=0)) + 1):
-        count, labels[value], stats, _ = cv2.connectedComponentsWithStats(
-            (index == value).astype(np.uint8), connectivity=4
-        )
-        areas = stats[:, cv2.CC_STAT_AREA]
-        sizes += [(int(areas[k]), value, k) for k in range(1, count)]
-    kept = sorted((s for s in sizes if s[0] >= max(options.smallest_px, _FEWEST_PX)), reverse=True)
-    if not kept:
-        raise InputError(
-            f"{options.map or 'photographs'}: expected at least one piece of "
-            f"{options.smallest_px} pixels within the mask, got none"
-        )
-    for number, (_, value, k) in enumerate(kept):
-        pieces[labels[value] == k] = number + 1
-        shell.append(value - 1)
-    return pieces, None if options.map is None else np.array(shell)
-
-
-def _read_map(path: Path, size: tuple[int, int], shells: int) -> NDArray[np.int64]:
-    pixels = read_pixels(path, colour=False)
-    if pixels.ndim == 3 and (pixels == pixels[..., :1]).all():
-        pixels = pixels[..., 0]
-    if pixels.ndim != 2 or pixels.dtype not in (np.uint8, np.uint16):
-        raise InputError(
-            f"{path}: expected a map of one channel of 8 or 16 bits, whose values are indices"
-        )
-    if pixels.shape != size:
-        raise InputError(
-            f"{path}: expected the photographs' {size[1]} x {size[0]} pixels, got "
-            f"{pixels.shape[1]} x {pixels.shape[0]}"
-        )
-    if int(pixels.max()) > shells:
-        raise InputError(
-            f"{path}: expected indices 0…{shells}, 0 for the ground and one a model, got "
-            f"{int(pixels.max())}"
-        )
-    return pixels.astype(np.int64)
 
 
 def _surface(given: LitSet, path: Path | None) -> Tensor:

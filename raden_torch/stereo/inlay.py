@@ -17,13 +17,13 @@ from torch import Tensor
 
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.stereo.observed_light import ObservedLight, shown
-from raden_torch.stereo.photographed import Photographed
+from raden_torch.stereo.photographed import AT_ONCE, Photographed
 from raden_torch.stereo.solve import ModelNormals, learnt, solve_by_model
 
 _ERODED_PX = 1
 """At its rim a pixel shows lacquer, too."""
-_MOST = 1 << 12
-"""Pixels of a piece that decide about it."""
+_MOST, _MOST_OF_ALL, _LEAST = 1 << 12, 1 << 18, 32
+"""Pixels of a piece that decide about it; of all pieces; of a piece where there are many."""
 _GAIN = (0.2, 5.0)
 
 
@@ -33,16 +33,18 @@ class Piece:
 
     Attributes:
         pixels: how many; `material`: of the palette, the ground being 0.
-        layer_normal: x, y, z; None where each pixel has its own.
+        layer_normal: x, y, z, the mean of its pixels'.
         error_deg: the standard error of the layers' normal.
-        residual: the weighted root mean square of what the model leaves, in standard deviations.
+        varies_deg: how far its pixels' own normals are from it, as a standard deviation.
+        residual: what the shell leaves with each pixel's own layers, in standard deviations.
         runner_up: that of the shell that fits second best; None with one shell.
     """
 
     pixels: int
     material: int
-    layer_normal: tuple[float, float, float] | None
+    layer_normal: tuple[float, float, float]
     error_deg: float
+    varies_deg: float
     residual: float
     runner_up: float | None
 
@@ -94,7 +96,8 @@ def find_inlay(
     number = torch.from_numpy(pieces.reshape(-1).astype(np.int64))
     inner = torch.from_numpy(_inner(pieces).reshape(-1))
     count = int(number.max())
-    chosen = [_some((inner == k + 1).nonzero()[:, 0], number, k + 1) for k in range(count)]
+    most = max(_LEAST, min(_MOST, _MOST_OF_ALL // count))
+    chosen = [_some((inner == k + 1).nonzero()[:, 0], number, k + 1, most) for k in range(count)]
     index = torch.cat(chosen)
     light = replace(seen.at(index), surface=surface[:, index])
     known = learnt(shells, _thin(light))
@@ -112,35 +115,33 @@ def find_inlay(
         of = slice(start, start + len(own))
         start += len(own)
         known_shell = None if given is None else int(given[k])
-        part = light.at(torch.arange(of.start, of.stop))
-        piece = _piece(shells, fits, part, of, known_shell)
-        everywhere = number == k + 1
+        piece, normal = _piece(fits, light.at(torch.arange(of.start, of.stop)), of, known_shell)
+        everywhere = (number == k + 1).nonzero()[:, 0]
         material[everywhere] = piece.material
-        if piece.layer_normal is not None:
-            layers[:, everywhere] = torch.tensor(piece.layer_normal)[:, None]
-        error[everywhere] = piece.error_deg
-        found.append(replace(piece, pixels=int(everywhere.sum())))
-        if per_pixel:
-            rest = everywhere.nonzero()[:, 0]
-            whole = replace(seen.at(rest), surface=surface[:, rest])
-            own_fit = solve_by_model([shells[piece.material - 1]], whole, known=known)
-            layers[:, rest], error[rest] = own_fit.normal, own_fit.error_deg
-            found[-1] = replace(found[-1], layer_normal=None)
+        found.append(replace(piece, pixels=len(everywhere)))
+        for part in everywhere.split(AT_ONCE):
+            if not per_pixel:
+                layers[:, part], error[part] = normal[:, None], piece.error_deg
+                continue
+            whole = replace(seen.at(part), surface=surface[:, part])
+            fit = solve_by_model([shells[piece.material - 1]], whole, known=known)
+            layers[:, part], error[part] = fit.normal, fit.error_deg
         done(0.8 + 0.1 * (k + 1) / count)
     gain, exposure = _gains(seen, shells, material, layers, surface)
     return Inlay(material, layers, gain, error, exposure, tuple(found))
 
 
 def _piece(
-    shells: Sequence[Reflection],
     fits: Sequence[ModelNormals],
     light: ObservedLight,
     of: slice,
     given: int | None,
-) -> Piece:
-    """The shell whose pixels, with the piece's one normal, are nearest to the photographs."""
+) -> tuple[Piece, Tensor]:
+    """The shell whose pixels, each with its own layers, are nearest to the photographs;
+    and their mean normal `[3]`."""
     tried = []
-    for place, (shell, fit) in enumerate(zip(shells, fits, strict=True)):
+    values = light.usable.sum((0, 1)).clamp(min=1) * light.value.shape[1]
+    for place, fit in enumerate(fits):
         if given is not None and place != given:
             continue
         normals, weight = fit.normal[:, of], 1 / (fit.error_deg[of] ** 2 + 0.01)
@@ -150,19 +151,16 @@ def _piece(
             sure = weight / (1 + (apart / 2) ** 2)
             middle = (normals * sure).sum(1, keepdim=True)
             middle = middle / middle.norm(dim=0)
-        gain = fit.gain[of].median()
-        radiance = shown(shell, middle.expand_as(normals), light)
-        residual = ((gain * radiance - light.value) * light.weight).clamp(-30, 30)
-        rms = float(residual.square().mean().sqrt())
+        residual = float((2 * fit.cost[of] / values).mean().sqrt())
+        varies = float(1.4826 * apart.median())
         # neighbours err together, and the model's own error is all of the pixels'
-        scatter = float(1.4826 * apart.median()) / max(len(apart) / 9, 1) ** 0.5
+        scatter = varies / max(len(apart) / 9, 1) ** 0.5
         error = (scatter**2 + float(fit.error_deg[of].median()) ** 2) ** 0.5
-        tried.append((rms, place, middle[:, 0], error))
-    tried.sort(key=lambda t: t[0])
-    rms, place, normal, error = tried[0]
-    x, y, z = (float(c) for c in normal)
-    other = tried[1][0] if len(tried) > 1 else None
-    return Piece(light.pixels, place + 1, (x, y, z), error, rms, other)
+        x, y, z = (float(c) for c in middle[:, 0])
+        piece = Piece(light.pixels, place + 1, (x, y, z), error, varies, residual, None)
+        tried.append((piece, middle[:, 0]))
+    (best, normal), *others = sorted(tried, key=lambda t: t[0].residual)
+    return replace(best, runner_up=others[0][0].residual if others else None), normal
 
 
 def _gains(
@@ -199,10 +197,10 @@ def _inner(pieces: NDArray[np.int32]) -> NDArray[np.int64]:
     return np.where(low == high, pieces, 0).astype(np.int64)
 
 
-def _some(inner: Tensor, number: Tensor, piece: int) -> Tensor:
-    """No more than `_MOST` pixels of a piece, at least one."""
+def _some(inner: Tensor, number: Tensor, piece: int, most: int) -> Tensor:
+    """No more than so many pixels of a piece, at least one."""
     own = inner if len(inner) else (number == piece).nonzero()[:, 0]
-    return own[:: max(1, -(-len(own) // _MOST))]
+    return own[:: max(1, -(-len(own) // most))]
 
 
 def _thin(light: ObservedLight) -> ObservedLight:
