@@ -61,7 +61,8 @@ def test_all_commands_are_here() -> None:
         "fit info analyse merge convert plot export verify bench render relight sweep demo scan"
     )
     steps = [" ".join(words) for words in COMMANDS if len(words) == 2]
-    capture = ["calibrate", "colour", "lights", "normals", "brdf", "segment", "batch", "simulate"]
+    capture = ["calibrate", "colour", "lights", "normals", "brdf", "segment", "texture", "batch"]
+    capture += ["simulate"]
     catalogue = ["add", "find", "show", "get", "check"]
     assert steps == [f"capture {x}" for x in capture] + [f"catalogue {x}" for x in catalogue]
 

@@ -119,6 +119,13 @@ def test_a_piece_has_its_shell_and_its_layers(inlay: InlaySet, found: Path) -> N
         assert piece["runner_up"] > 2 * piece["residual"]
 
 
+def test_info_says_what_was_found(raden, found: Path) -> None:
+    done = raden("info", found / "inlay.json")
+    assert done.returncode == 0, done.stderr
+    assert "4 pieces from 8 photographs, layers: one normal a piece" in done.stdout
+    assert "materials: ground, one, two" in done.stdout
+
+
 def test_relit_under_a_lamp_that_was_held_out(inlay: InlaySet, found: Path) -> None:
     """The G-buffer and the palette, as they are: ΔE2000 of 3 or less in the median."""
     palette = rt.load_model(found / "palette.safetensors")
