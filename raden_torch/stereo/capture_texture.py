@@ -39,7 +39,7 @@ class TextureOptions:
         map: which shell each pixel shows, from 1 in the order of `models`, 0 for the ground;
             where None, pieces are looked for and each takes the shell that fits.
         normals: of the polished surface; it faces the camera where None.
-        colour: of `raden capture colour`; without it the channels' balance is fitted.
+        colour: of `raden capture colour`; without it the photographs have sRGB's primaries.
         per_pixel: each pixel keeps its own layer normal.
         gain: keep the factor on the palette's reflection, pixel by pixel.
         smallest_px: an area of fewer pixels is no piece.
