@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast
 
@@ -17,6 +17,7 @@ from raden_torch.brdf.files.display import (
     Display,
     key_exposure_ev,
 )
+from raden_torch.brdf.files.gbuffer_file import GBufferFile
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.image_file import (
     Photograph,
@@ -83,12 +84,14 @@ class Surface:
     Attributes:
         normal: `[1, 3, H, W]`; coverage: `[1, 1, H, W]`, 0…1.
         material: of a palette, `tangent` of a model of several azimuths, as in `GBuffer`.
+        layers: `layer_normal` and gains, as in `GBuffer`, where the normals' EXR has them.
     """
 
     normal: Tensor
     coverage: Tensor
     material: Tensor | None
     tangent: Tensor | None
+    layers: Mapping[str, Tensor] = field(default_factory=dict)
 
     @classmethod
     def read(
@@ -113,7 +116,8 @@ class Surface:
         of_normals = replace(reading, material=None, tangent=None)
         normal = read_normal_map(normals, green, **vars(of_normals))
         coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
-        return cls(normal, coverage, _material(model, reading.material, normal, coverage), tangent)
+        material = _material(model, reading.material, normal, coverage)
+        return cls(normal, coverage, material, tangent, _layers(normals, of_normals))
 
 
 def relight_files(
@@ -200,6 +204,16 @@ def relit_photograph(
     return replace(photo, linear=relit, alpha=_alpha_of(photo, path, layout, len(lights)))
 
 
+def _layers(path: Path, reading: GBufferReading) -> dict[str, Tensor]:
+    """The film layers of an EXR's surface."""
+    if path.suffix.lower() != ".exr":
+        return {}
+    file = GBufferFile(path, reading, is_checked=False)
+    gbuffer = file.rows(0, file.size[0])
+    names = ("layer_normal", "diffuse_gain", "specular_gain")
+    return {name: m for name in names if (m := getattr(gbuffer, name)) is not None}
+
+
 def _material(
     model: Reflection, path: Path | None, normal: Tensor, coverage: Tensor
 ) -> Tensor | None:
@@ -238,6 +252,7 @@ def _relit(
         "original": original,
         "material": surface.material,
         "tangent": surface.tangent,
+        "layers": surface.layers,
         "curve": display.curved,
     }
     scene = (model, photo, surface.normal, surface.coverage, lights)

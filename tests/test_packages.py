@@ -231,7 +231,12 @@ def asked_for(tree: ast.AST) -> set[str]:
     return {module for name in names for module in EXTRAS[name]}
 
 
-DOORS = {"capture/photo": "photo", "plots": "plots", "catalogue": "catalogue"}
+DOORS = {
+    "capture/photo": "photo",
+    "stereo": "photo",
+    "plots": "plots",
+    "catalogue": "catalogue",
+}
 """Rooms that ask for all of an extra when they are entered, in their __init__.py."""
 AFTER_THE_DOOR = {
     "export/constants.py",  # of whoever read the graph

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from glob import glob
 from pathlib import Path
@@ -17,6 +18,7 @@ from raden_torch.files import check_output, check_outputs
 
 if TYPE_CHECKING:
     from raden_torch.capture.photo.board import Board
+    from raden_torch.capture.photo.capture_normals import FoundNormals
     from raden_torch.capture.photo.reference_photos import Reference
 
 
@@ -193,8 +195,15 @@ def lights(
 class NormalsOptions:
     """How normals are solved."""
 
-    method: Literal["robust", "least-squares", "selection"] = "robust"
-    """method that is robust against shadows and highlights"""
+    method: Literal["robust", "least-squares", "selection", "alternating"] | None = None
+    """robust (usual), least-squares or selection: of a matt object; alternating: find the material,
+    one that is not matt, with the normals"""
+    model: Path | None = None
+    """model (.safetensors) of the material, or a palette, of which each pixel takes the member that
+    fits: of what is not matt"""
+    colour: Path | None = None
+    """with --model: colour file of `raden capture colour`; by default the channels' balance is
+    fitted"""
     refine_intensity: Annotated[
         bool, switch("also fit the lamps' brightness, known to about 10 %")
     ] = False
@@ -209,6 +218,49 @@ class NormalsOptions:
     )
     coded: Coded = "auto"
 
+    def __post_init__(self) -> None:
+        if self.model is not None and self.method is not None:
+            raise InputError("--model and --method are two ways to solve normals; give one")
+        if self.colour is not None and self.model is None:
+            raise InputError("--colour: expected with --model, whose colours it is compared by")
+        if self.compares and self.refine_intensity:
+            raise InputError(
+                "--refine-intensity: expected with the methods of a matt object; a reference in "
+                "`raden capture lights` measures the lamps' brightness"
+            )
+
+    @property
+    def compares(self) -> bool:
+        """Whether photographs are compared with a material, given or found."""
+        return self.model is not None or self.method == "alternating"
+
+    @property
+    def said(self) -> str:
+        """What the result's file calls it."""
+        return "model" if self.model is not None else self.method or "robust"
+
+    def found(
+        self,
+        photographs: Sequence[Path],
+        lights: Path,
+        mask: Path | None,
+        progress: Callable[[float], None],
+    ) -> FoundNormals:
+        """Read and solve."""
+        own = asdict(self)
+        model, colour = own.pop("model"), own.pop("colour")
+        if not self.compares:
+            from raden_torch.capture.photo.capture_normals import capture_normals
+
+            own["method"] = self.said
+            return capture_normals(photographs, lights, mask, progress=progress, **own)
+        from raden_torch.stereo.capture_model_normals import ModelOptions, capture_model_normals
+
+        for name in ("method", "refine_intensity", "shadow"):
+            own.pop(name)
+        options = ModelOptions(model=model, colour=colour, **own)
+        return capture_model_normals(photographs, lights, mask, options, progress=progress)
+
 
 def normals(
     *photos: Annotated[Path, files("photographs of the object, one under each lamp, in order")],
@@ -219,7 +271,6 @@ def normals(
     ] = None,
     how: NormalsOptions = NormalsOptions(),
 ) -> None:
-    from raden_torch.capture.photo.capture_normals import capture_normals
     from raden_torch.capture.photo.normals_file import paths_in, write_normals
     from raden_torch.plots.capture_figures import draw_normals
     from raden_torch.plots.sheet import save_plot
@@ -229,16 +280,18 @@ def normals(
     used = without_other_inputs(photos, mask)
     picture = output / "found.png"
     if output.is_dir():
-        check_outputs(*paths_in(output), picture, inputs=(*used, lights, mask))
+        inputs = (*used, lights, mask, how.model, how.colour)
+        check_outputs(*paths_in(output), picture, inputs=inputs)
     with progress("solving normals") as share_done:
-        found = capture_normals(used, lights, mask, progress=share_done, **asdict(how))
+        found = how.found(used, lights, mask, share_done)
     output.mkdir(parents=True, exist_ok=True)
     written = write_normals(
         found.surface,
         output,
         found.lamps,
         used,
-        method=how.method,
+        method=how.said,
+        made_by="" if how.model is None else how.model.name,
         exponent=found.exponent,
         order=found.order,
         notes=found.notes,

@@ -208,6 +208,12 @@ _CAPTURE_COMMANDS = (
         "raden capture segment lamp*.png --shells 3 -o map.png",
     ),
     (
+        "texture_command:texture",
+        "Find each piece's shell and how its layers lean: a palette and a G-buffer to relight.",
+        "raden capture texture lamp*.tif --lights lights.json --model yakogai.safetensors "
+        "--model awabi.safetensors -o inlay",
+    ),
+    (
         "batch.photo_sets:batch",
         "Take the steps above for every photograph set of a folder, with one report.",
         "raden capture batch shells; shells/defaults.toml and shells/*/set.toml say which steps",

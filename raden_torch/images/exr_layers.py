@@ -21,6 +21,8 @@ NAMES: dict[str, tuple[str, ...]] = {
         *("material", "materials", "indexma", "material_index", "materialindex", "material_id"),
     ),
     "surface": ("ng", "geometric_normal", "geometry_normal", "surface_normal"),
+    "layer_normal": ("layer_normal", "layernormal"),
+    "gain": ("gain",),
     "tangent": ("t", "tangent", "tangents", "dpdu"),
     "colour": ("", "rgba", "rgb", "beauty", "combined", "colour", "color"),
 }

@@ -26,6 +26,16 @@ class _Normals(Struct):
     notes: list[str] = []
 
 
+class _Inlay(Struct):
+    materials: list[str]
+    pieces: list[Any]
+    photographs: list[Any]
+    files: dict[str, str]
+    layers: str
+    median_residual: Finite
+    notes: list[str] = []
+
+
 class _Brdf(Struct):
     shape: str
     grid_step_deg: Finite
@@ -135,6 +145,23 @@ def _normals(path: Path) -> str:
     )
 
 
+def _inlay(path: Path) -> str:
+    from raden_torch.capture.photo.result_file import read_result
+
+    found = read_result(path, "inlay", _Inlay)
+    return "\n".join(
+        [
+            "inlay from photographs, written by `raden capture texture`",
+            f"{len(found.pieces)} pieces from {len(found.photographs)} photographs, layers: "
+            f"{found.layers}",
+            f"materials: {', '.join(found.materials)}",
+            f"residual of a photograph: {100 * found.median_residual:.2g} % of its mean light",
+            f"beside it: {', '.join(found.files.values())}",
+            *(f"note: {note}" for note in found.notes),
+        ]
+    )
+
+
 def _brdf(path: Path) -> str:
     from raden_torch.capture.photo.result_file import read_result
 
@@ -161,6 +188,7 @@ _RESULTS: dict[str, Callable[[Path], str]] = {
     "lights": _lights,
     "normals": _normals,
     "brdf": _brdf,
+    "inlay": _inlay,
 }
 
 

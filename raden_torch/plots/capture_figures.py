@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
@@ -102,17 +103,63 @@ def draw_normals(
             _key(ax)
     ax = figure.add_subplot(grid[1, :2])
     residual = 100 * found.lamp_residual.cpu().numpy()
-    worst = residual > 2.5 * np.median(residual)
-    ax.bar(np.arange(1, len(residual) + 1), residual, color=np.where(worst, _BAD, _BALL))
-    ax.set_xticks(np.arange(1, len(residual) + 1))
-    names = [printable(path.stem) for path in photographs]
-    ax.set_xticklabels(names, rotation=30, ha="right", fontsize=SMALL, parse_math=False)
-    ax.set_ylabel("residual (% of the albedo)", fontsize=SMALL)
+    _residuals(ax, residual, photographs, "residual (% of the albedo)")
     ax.set_title("How each photograph disagrees with the normals (median)", fontsize=TEXT + 1)
-    ax.tick_params(labelsize=SMALL)
-    ax.spines[["top", "right"]].set_visible(False)
     _dial(figure.add_subplot(grid[1, 2], projection="polar"), lamps, small=True)
     return figure
+
+
+def draw_inlay(
+    photograph: NDArray[Any],
+    material: NDArray[Any],
+    tilt_deg: NDArray[Any],
+    error_deg: NDArray[Any],
+    *,
+    names: Sequence[str],
+    residual: NDArray[Any],
+    photographs: Sequence[Path],
+) -> Figure:
+    """The mean photograph, which shell each piece is, how its layers lean, and how sure that is;
+    each photograph's residual."""
+    figure = _sheet(11.5, 7.2)
+    grid = figure.add_gridspec(2, 4, height_ratios=(2.2, 1))
+    top = max(float(np.quantile(photograph, 0.995)), 1e-12)
+    shell = np.where(material > 0, 1.0, np.nan)
+    of_material = colormaps["tab10"].resampled(len(names))
+    panels = (
+        ("mean photograph", np.clip(photograph / top, 0, 1) ** (1 / 2.2), None, (0, 1)),
+        ("material", material, of_material, (-0.5, len(names) - 0.5)),
+        ("layers lean by (degrees)", tilt_deg * shell, "viridis", (0, None)),
+        ("standard error (degrees)", error_deg * shell, "magma", (0, None)),
+    )
+    for column, (title, picture, colours, (low, high)) in enumerate(panels):
+        ax = figure.add_subplot(grid[0, column])
+        shown = ax.imshow(picture, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
+        ax.set_title(title, fontsize=TEXT + 1)
+        ax.set_axis_off()
+        if title == "material":
+            bar = figure.colorbar(shown, ax=ax, shrink=0.6, ticks=range(len(names)))
+            bar.ax.set_yticklabels([printable(n) for n in names], parse_math=False)
+            bar.ax.tick_params(labelsize=SMALL)
+        elif colours:
+            figure.colorbar(shown, ax=ax, shrink=0.6).ax.tick_params(labelsize=SMALL)
+    ax = figure.add_subplot(grid[1, :])
+    _residuals(ax, 100 * residual, photographs, "residual (% of the mean light)")
+    ax.set_title("How each photograph disagrees with what was found (median)", fontsize=TEXT + 1)
+    return figure
+
+
+def _residuals(ax: Any, residual: NDArray[Any], photographs: Sequence[Path], label: str) -> None:
+    """A bar a photograph, those that disagree in another colour."""
+    worst = residual > 2.5 * np.nanmedian(residual)
+    places = np.arange(1, len(residual) + 1)
+    ax.bar(places, residual, color=np.where(worst, _BAD, _BALL))
+    ax.set_xticks(places)
+    names = [printable(path.stem) for path in photographs]
+    ax.set_xticklabels(names, rotation=30, ha="right", fontsize=SMALL, parse_math=False)
+    ax.set_ylabel(label, fontsize=SMALL)
+    ax.tick_params(labelsize=SMALL)
+    ax.spines[["top", "right"]].set_visible(False)
 
 
 def _sheet(width: float, height: float) -> Figure:

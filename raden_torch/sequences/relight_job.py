@@ -200,6 +200,7 @@ def _stops_of_first(job: RelightJob, exposure: str) -> float:
             original=taken.original,
             material=surface.material,
             tangent=surface.tangent,
+            layers=surface.layers,
         ).mean(dim=0)
     if exposure == "key":
         return key_exposure_ev(lit * surface.coverage)

@@ -22,6 +22,7 @@ from raden_torch.brdf.files.bands import BYTES_GATHERED, bands_of
 from raden_torch.brdf.files.depth_check import warn_of_other_kind
 from raden_torch.brdf.files.exr_tensors import evidence, stacked
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
+from raden_torch.brdf.files.layer_maps import LayerMaps
 from raden_torch.brdf.files.material_map import MaterialMap, nothing_to_choose
 from raden_torch.brdf.files.normal_check import warn_of_facing, warn_of_normals
 from raden_torch.brdf.files.normal_coding import decoded, has_negative
@@ -126,13 +127,18 @@ class GBufferFile:
         self._tangent = layers.vector("tangent") if is_tangent else None
         self._frame = reading.frame(path, self._file.first)
         self._turning = TangentLayer(layers, reading, self._frame, self.bands, turns=turns)
+        self._layers = LayerMaps(layers, self._frame, self.bands)
         self._matrix = self._pinhole()
         self._check(layers)
 
     def rows(self, top: int, bottom: int) -> GBuffer:
         """The rows from `top` to before `bottom`, a batch of 1 in float32."""
         maps = (self._normal, self._position, self._surface, self._tangent, self._turning.keys)
-        keys = [key for each in (*maps, self._depth, self._mask) for key in each or ()]
+        keys = [
+            key
+            for each in (*maps, self._layers.keys, self._depth, self._mask)
+            for key in each or ()
+        ]
         if self._material is not None and self._reading.material is None:
             keys += self._material.keys
         self._file.read(keys, top, bottom)
@@ -142,7 +148,11 @@ class GBufferFile:
             found = self._from_normals(depth, top, bottom)
         else:
             found = self._from_depth(cast(Tensor, depth))
-        found = replace(found, tangent=self._turning.rows(top, bottom, found.normal))
+        found = replace(
+            found,
+            tangent=self._turning.rows(top, bottom, found.normal),
+            **self._layers.on(found, top, bottom),
+        )
         if self._material is None:
             return found
         return replace(found, material=self._material.rows(top, bottom, found.mask))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 
 import torch
 from torch import Tensor
@@ -17,6 +18,7 @@ from raden_torch.colorimetry import SRGB_LUMINANCE
 from raden_torch.errors import InputError
 
 Gain = float | Tensor | Callable[[Tensor, Tensor], float]
+_NONE: Mapping[str, Tensor] = MappingProxyType({})
 _DARK = 0.1
 """Of the brightest shading: below it a photograph knows little of the texture."""
 
@@ -32,6 +34,7 @@ def relight(
     original: Sequence[Light] | None = None,
     material: Tensor | None = None,
     tangent: Tensor | None = None,
+    layers: Mapping[str, Tensor] = _NONE,
     curve: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
     """Replace the masked part of photographs by the model under new lights.
@@ -47,6 +50,7 @@ def relight(
             (see `texture_of`) is kept then. None leaves the model alone.
         material: of a palette, as in `GBuffer.material`.
         tangent: of a model of several azimuths, as in `GBuffer.tangent`.
+        layers: `layer_normal` and gains, as in `GBuffer`.
         curve: what the new light goes through before it joins the photograph, which went through a
             camera's.
 
@@ -66,6 +70,7 @@ def relight(
         original=original,
         material=material,
         tangent=tangent,
+        layers=layers,
         curve=curve,
     )[0]
 
@@ -81,6 +86,7 @@ def relit_under(
     original: Sequence[Light] | None = None,
     material: Tensor | None = None,
     tangent: Tensor | None = None,
+    layers: Mapping[str, Tensor] = _NONE,
     curve: Callable[[Tensor], Tensor] | None = None,
 ) -> Tensor:
     """`[settings, B, 3, H, W]`: the photographs once under each setting of lights.
@@ -89,7 +95,15 @@ def relit_under(
     """
     mask = coverage(mask).to(photo.dtype)
     shaded = shaded_under(
-        model, photo, normal, mask, settings, original=original, material=material, tangent=tangent
+        model,
+        photo,
+        normal,
+        mask,
+        settings,
+        original=original,
+        material=material,
+        tangent=tangent,
+        layers=layers,
     )
     if gain is None:
         gain = matching_gain(photo, shaded.mean(dim=0), mask)
@@ -109,10 +123,12 @@ def shaded_under(
     original: Sequence[Light] | None = None,
     material: Tensor | None = None,
     tangent: Tensor | None = None,
+    layers: Mapping[str, Tensor] = _NONE,
 ) -> Tensor:
     """`[settings, B, 3, H, W]`: what `relit_under` multiplies by its gain and puts in."""
     _check_sizes(photo, normal, mask)
-    gbuffer = GBuffer(normal, view=(0.0, 0.0, 1.0), material=material, tangent=tangent)
+    view = (0.0, 0.0, 1.0)
+    gbuffer = GBuffer(normal, view=view, material=material, tangent=tangent, **layers)
     shaded = torch.stack([shade(model, gbuffer, lights) for lights in settings]).to(photo.dtype)
     warn_if_black(shaded, [lamp for s in settings for lamp in ([s] if isinstance(s, Light) else s)])
     return shaded if original is None else shaded * texture_of(photo, normal, mask, original)

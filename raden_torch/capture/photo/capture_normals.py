@@ -72,33 +72,82 @@ def capture_normals(
         InputError: as for what it is made of; the message names the file.
     """
     done = progress or (lambda share: None)
-    lamps = _read_lamps(lights, photographs)
-    photos = read_set(photographs, coded=coded, progress=lambda share: done(0.4 * share))
-    inside = np.ones(photos.size, np.float32) if mask is None else read_mask(mask, photos.size)
-    inside_map = torch.from_numpy(inside)[None, None]
-    check_exposure(photos, inside_map)
-    power = lamps.exponent if exponent is None else exponent
-    intensity = torch.from_numpy(lamps.intensity).float()
-    if lamps.tint is not None:  # as if all lamps had one colour
-        tint = torch.from_numpy(lamps.tint).float() ** (1 / power)
-        photos.images.div_(tint[:, :, None, None])
-    order = _checked_order(photos, lamps, inside_map, intensity, power, keep_order)
+    given = read_lit_set(
+        photographs,
+        lights,
+        mask,
+        exponent=exponent,
+        plane_z=plane_z,
+        coded=coded,
+        progress=lambda share: done(0.4 * share),
+    )
+    order = _checked_order(given, keep_order)
     surface = solve_normals(
-        photos.images,
-        _directions(lamps, photos.size, plane_z),
-        inside_map,
+        given.photos.images,
+        given.directions,
+        given.mask_map,
         method=method,
-        intensity=intensity,
+        intensity=given.intensity,
         refine_intensity=refine_intensity,
-        saturated=photos.saturated,
+        saturated=given.photos.saturated,
         shadow=shadow,
-        exponent=power,
+        exponent=given.exponent,
         progress=lambda share: done(0.4 + 0.6 * share),
     )
-    notes = _odd_lamps(surface, photographs)
+    notes = odd_lamps(surface.lamp_residual, photographs)
     for note in notes:
         warnings.warn(note, stacklevel=2)
-    return FoundNormals(surface, lamps, inside, power, order, tuple(notes))
+    return FoundNormals(surface, given.lamps, given.mask, given.exponent, order, tuple(notes))
+
+
+@dataclass(frozen=True, eq=False)
+class LitSet:
+    """Photographs and the lamps that they were taken under.
+
+    Attributes:
+        photos: as if all lamps had one colour.
+        mask: `[H, W]`, 0…1.
+        exponent: of the response, still to be applied.
+        directions: `[K, 3]`, or `[K, 3, H, W]` for near lamps, whose length is the irradiance.
+    """
+
+    photos: PhotoSet
+    lamps: Lamps
+    mask: NDArray[Any]
+    exponent: float
+    directions: Tensor
+
+    @property
+    def mask_map(self) -> Tensor:
+        """`[1, 1, H, W]`"""
+        return torch.from_numpy(self.mask)[None, None]
+
+    @property
+    def intensity(self) -> Tensor:
+        """`[K]`"""
+        return torch.from_numpy(self.lamps.intensity).float()
+
+
+def read_lit_set(
+    photographs: Sequence[Path],
+    lights: Path,
+    mask: Path | None,
+    *,
+    exponent: float | None = None,
+    plane_z: float = 0.0,
+    coded: Coding = "auto",
+    progress: Callable[[float], None] | None = None,
+) -> LitSet:
+    """Photographs, mask and lamps that belong together; arguments as for `capture_normals`."""
+    lamps = _read_lamps(lights, photographs)
+    photos = read_set(photographs, coded=coded, progress=progress)
+    inside = np.ones(photos.size, np.float32) if mask is None else read_mask(mask, photos.size)
+    check_exposure(photos, torch.from_numpy(inside)[None, None])
+    power = lamps.exponent if exponent is None else exponent
+    if lamps.tint is not None:
+        tint = torch.from_numpy(lamps.tint).float() ** (1 / power)
+        photos.images.div_(tint[:, :, None, None])
+    return LitSet(photos, lamps, inside, power, _directions(lamps, photos.size, plane_z))
 
 
 def _read_lamps(lights: Path, photographs: Sequence[Path]) -> Lamps:
@@ -121,17 +170,13 @@ def _directions(lamps: Lamps, size: tuple[int, int], plane_z: float) -> Tensor:
     return torch.from_numpy(lamps.towards(lamps.plane(size, plane_z))).float()
 
 
-def _checked_order(
-    photos: PhotoSet,
-    lamps: Lamps,
-    mask: Tensor,
-    intensity: Tensor,
-    exponent: float,
-    keep_order: bool,
-) -> OrderCheck | None:
-    linear = photos.images.clamp(min=0).mean(dim=1, keepdim=True) ** exponent
+def _checked_order(given: LitSet, keep_order: bool) -> OrderCheck | None:
+    photos = given.photos
+    linear = photos.images.clamp(min=0).mean(dim=1, keepdim=True) ** given.exponent
     order = check_order(
-        linear / intensity.view(-1, 1, 1, 1), torch.from_numpy(lamps.direction), mask
+        linear / given.intensity.view(-1, 1, 1, 1),
+        torch.from_numpy(given.lamps.direction),
+        given.mask_map,
     )
     if order is None or not order.uncertain:
         return order
@@ -162,8 +207,8 @@ def _warn_of_names(photographs: Sequence[Path], lamps: Lamps, lights: Path) -> N
     )
 
 
-def _odd_lamps(surface: SurfaceNormals, photographs: Sequence[Path]) -> list[str]:
-    residual = surface.lamp_residual
+def odd_lamps(residual: Tensor, photographs: Sequence[Path]) -> list[str]:
+    """A line a photograph that disagrees with the others, of residuals `[K]`."""
     usual = float(residual.nanmedian())
     return [
         f"{photographs[k].name}: it disagrees with the others {float(r) / usual:.1f} times as much "

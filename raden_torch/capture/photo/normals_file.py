@@ -12,7 +12,6 @@ import torch
 from msgspec import Struct
 from torch import Tensor
 
-from raden_torch.capture.photo.lambert_fit import Method
 from raden_torch.capture.photo.lamp_order import OrderCheck
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
@@ -51,8 +50,9 @@ def write_normals(
     lamps: Lamps,
     photographs: Sequence[Path],
     *,
-    method: Method,
+    method: str,
     exponent: float,
+    made_by: str = "",
     order: OrderCheck | None = None,
     notes: Sequence[str] = (),
 ) -> list[Path]:
@@ -61,6 +61,10 @@ def write_normals(
     normals.png: 16 bits, (n + 1)/2, x right, y up (green as OpenGL), black where there is none.
     normals.exr: floats: normal.X, .Y, .Z; albedo.R, .G, .B in the photographs' unit; confidence.V;
     error_deg.V. albedo.png: sRGB, scaled to the object's brightest. confidence.png: 0…1.
+
+    Args:
+        made_by: the model that the normals were found with, if one was; the albedo is then the
+            factor on what it reflects.
     """
     there = (found.normal != 0).any(dim=1)[0].cpu().numpy()
     normal = found.normal[0].detach().float().cpu().numpy()
@@ -82,6 +86,7 @@ def write_normals(
         "frame": "x right, y up, z to the viewer; normals point away from the surface",
         "green": "opengl",
         "method": method,
+        **({"model": made_by} if made_by else {}),
         "response_exponent": round(exponent, 4),
         "files": FILES,
         "pixels_solved": int(there.sum()),

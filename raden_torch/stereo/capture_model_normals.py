@@ -1,0 +1,156 @@
+"""Photographs of what is not matt → its normals: `raden capture normals --model`, or without one by
+the method "alternating"."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from raden_torch.brdf.files.lit_model import load_lit
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.capture.photo.capture_normals import (
+    FoundNormals,
+    LitSet,
+    odd_lamps,
+    read_lit_set,
+)
+from raden_torch.capture.photo.colour import read_colour
+from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
+from raden_torch.capture.photo.stored_photograph import Coding
+from raden_torch.stereo.alternating import alternate
+from raden_torch.stereo.lamp_assignment import check_order, refuse
+from raden_torch.stereo.photographed import Photographed
+from raden_torch.stereo.solve import ModelNormals, joined, learnt, residuals, solve_by_model
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """How photographs are compared with a model.
+
+    Attributes:
+        model: a model or a palette, each pixel of which shows the member that fits best; None
+            finds the material with the normals (`alternating.py`).
+        colour: of `raden capture colour`; without it the channels' balance is fitted.
+        exponent, plane_z, coded, keep_order: as for `capture_normals`.
+    """
+
+    model: Path | None = None
+    colour: Path | None = None
+    exponent: float | None = None
+    plane_z: float = 0.0
+    keep_order: bool = False
+    coded: Coding = "auto"
+
+
+@torch.no_grad()
+def capture_model_normals(
+    photographs: Sequence[Path],
+    lights: Path,
+    mask: Path | None,
+    options: ModelOptions,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> FoundNormals:
+    """Read photographs, lamps and model, check that they belong together, and solve.
+
+    Args:
+        lights: a lights file; photograph k was taken under its lamp k.
+        progress: called with the share that is done, 0…1.
+
+    Raises:
+        InputError: as for what it is made of; photographs in another order than the lamps.
+
+    Warns:
+        UserWarning: photographs that disagree with the others; a material that was not found.
+    """
+    done = progress or (lambda share: None)
+    materials = None if options.model is None else members(load_lit(options.model))
+    given = read_lit_set(
+        photographs,
+        lights,
+        mask,
+        exponent=options.exponent,
+        plane_z=options.plane_z,
+        coded=options.coded,
+        progress=lambda share: done(0.2 * share),
+    )
+    correction = None if options.colour is None else read_colour(options.colour)
+    seen = Photographed.of(given, correction)
+    notes: list[str] = []
+    if materials is None:
+        learned = alternate(seen.sample, progress=lambda share: done(0.2 + 0.3 * share))
+        materials = [learned.material]
+        if not learned.has_settled:
+            notes.append(
+                f"normals and material have not settled: they still move by "
+                f"{learned.moved_deg[-1]:.1f} degrees a turn; more lamps, or a model, would help"
+            )
+        if not learned.is_better:
+            notes.append(
+                "no material was found that explains the photographs clearly better than a matt "
+                "one; compare with --method robust"
+            )
+    else:
+        seen = seen.balanced(materials)
+    light = seen.sample
+    known = learnt(materials, light)
+    some = solve_by_model(materials, light, known=known)
+    wrong = check_order(materials, light, some, photographs)
+    if wrong is not None and not options.keep_order:
+        raise refuse(wrong, photographs[0])
+    found = solved(seen, materials, lambda share: done(0.5 + 0.5 * share))
+    _, off = residuals(materials, light, some)
+    residual = torch.nanmedian(off, dim=1).values
+    notes += [*([wrong] if wrong else []), *odd_lamps(residual, photographs)]
+    for note in notes:
+        warnings.warn(note, stacklevel=2)
+    surface = as_maps(seen, found, residual)
+    return FoundNormals(surface, given.lamps, given.mask, given.exponent, None, tuple(notes))
+
+
+def members(model: Reflection) -> list[Reflection]:
+    """The materials that a pixel may show."""
+    return list(model) if isinstance(model, Palette) else [model]
+
+
+def solved(
+    seen: Photographed, materials: Sequence[Reflection], progress: Callable[[float], None]
+) -> ModelNormals:
+    """All pixels of the object, in the order of `seen.index`, some at a time."""
+    known = learnt(materials, seen.sample)
+    parts, found = seen.parts(), []
+    for k, index in enumerate(parts):
+
+        def done(share: float, before: int = k) -> None:
+            progress((before + share) / len(parts))
+
+        found.append(solve_by_model(materials, seen.at(index), known=known, progress=done))
+    return joined(found)
+
+
+def as_maps(seen: Photographed, found: ModelNormals, residual: Tensor) -> SurfaceNormals:
+    """Maps of all pixels; the albedo is the factor on what the model reflects."""
+
+    def whole(values: Tensor) -> Tensor:
+        height, width = seen.size
+        maps = values.new_zeros(len(values), height * width)
+        maps[:, seen.index] = values
+        return maps.view(1, len(values), height, width)
+
+    given: LitSet = seen.given
+    usable = (~given.photos.saturated).sum(0, keepdim=True).float()
+    return SurfaceNormals(
+        normal=whole(found.normal),
+        albedo=whole(found.gain * seen.balance[:, None]),
+        confidence=whole(found.confidence[None]),
+        error_deg=whole(found.error_deg[None]),
+        lamps_used=usable * (given.mask_map > 0.5),
+        lamp_residual=residual,
+        intensity=given.intensity / given.intensity.mean(),
+    )

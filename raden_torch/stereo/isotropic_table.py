@@ -1,0 +1,124 @@
+"""A simple isotropic BRDF that is fitted to readings at normals that are not yet sure.
+
+f depends on θ_h, from the normal to the half vector, and θ_d, half the angle between light and
+view (Rusinkiewicz 1998): films on facets, a matt body and their highlights are of this kind; what
+also turns with the half vector's azimuth is taken as its mean.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from raden_torch.arrays import Floats
+from raden_torch.brdf.materials.runtime import RuntimeBrdf, runtime_brdf
+from raden_torch.brdf.model.runtime_table import RuntimeLayout
+
+_NODES = (32, 10)
+_LAYOUT = RuntimeLayout((24, 57, 57), (0.4, 0.4))
+_WARP = 0.5
+"""Nodes lie densely at the highlight: in (θ_h/90°)^0.5."""
+_ROUNDS, _CAUCHY = 4, 2.4
+_ALONG_H, _ALONG_D = 0.02, 0.5
+"""How much a second difference along θ_h, a first along θ_d weighs, of the readings at a node."""
+
+
+def fitted(
+    n: Tensor,
+    l: Tensor,  # noqa: E741
+    v: Tensor,
+    readings: Tensor,
+    weight: Tensor,
+) -> RuntimeBrdf:
+    """By robust least squares with smoothness where readings are rare.
+
+    Args:
+        n, l, v: `[B, 3, H, W]` unit.
+        readings: `[B, C, H, W]` f_r times `facing`, which `weight` knows: see `weight`.
+        weight: `[B, C, H, W]`: the cosine over the standard deviation of a reading; readings are
+            f_r, so that weight times f_r has a deviation of 1.
+    """
+    from scipy.sparse import csr_matrix
+
+    place, above = _place(n, l, v)
+    used = above & (weight > 0).all(1)
+    corners = [
+        (index[used].numpy(), share[used].double().numpy()) for index, share in _corners(place)
+    ]
+    count, rows = _NODES[0] * _NODES[1], int(used.sum())
+    at = (np.tile(np.arange(rows), 4), np.concatenate([index for index, _ in corners]))
+    shares = csr_matrix((np.concatenate([share for _, share in corners]), at), (rows, count))
+    values = []
+    for channel in range(readings.shape[1]):
+        target, sure = (m[:, channel][used].double().numpy() for m in (readings, weight))
+        robust = np.ones(rows)
+        for _ in range(_ROUNDS):
+            weighted = shares.multiply((robust * sure**2)[:, None]).tocsr()
+            matrix = (shares.T @ weighted).toarray()
+            smooth = np.trace(matrix) / count * _smoothness()
+            found = np.linalg.solve(matrix + smooth, weighted.T @ target)
+            off = (shares @ found - target) * sure
+            wide = max(1.4826 * float(np.median(abs(off))), 1e-12)
+            robust = 1 / (1 + (off / (_CAUCHY * wide)) ** 2)
+        values.append(torch.from_numpy(found.clip(min=0)))
+    return _baked(torch.stack(values, -1))
+
+
+def lobe(width: float, height: float) -> RuntimeBrdf:
+    """A matt body and a highlight of so many times its f_r: h exp(−tan²θ_h/(2 w²)), grey."""
+    at_h = np.linspace(0, 1, _NODES[0]) ** (1 / _WARP) * (math.pi / 2)
+    f = (1 + height * np.exp(-(np.tan(at_h.clip(max=1.57)) ** 2) / (2 * width**2))) / math.pi
+    return _baked(torch.from_numpy(np.repeat(f, _NODES[1])[:, None]))
+
+
+def _baked(values: Tensor) -> RuntimeBrdf:
+    """Node values `[H · D, C]` as a runtime table, which the kernels read."""
+
+    def formula(n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
+        place, _ = _place(n, l, v)
+        around = [values[index] * share[..., None] for index, share in _corners(place)]
+        f = torch.stack(around).sum(0).movedim(-1, 1)
+        return f.expand(-1, 3, -1, -1)
+
+    return runtime_brdf(formula, values, _LAYOUT).float()
+
+
+@cache
+def _smoothness() -> Floats:
+    """`[nodes, nodes]`, of second differences along θ_h and first ones along θ_d."""
+    rows, columns = _NODES
+    second, first = np.diff(np.eye(rows), n=2, axis=0), np.diff(np.eye(columns), axis=0)
+    along_h = np.kron(second.T @ second, np.eye(columns))
+    along_d = np.kron(np.eye(rows), first.T @ first)
+    return _ALONG_H * along_h + _ALONG_D * along_d + 1e-9 * np.eye(rows * columns)
+
+
+def _place(n: Tensor, l: Tensor, v: Tensor) -> tuple[tuple[Tensor, Tensor], Tensor]:  # noqa: E741
+    """Positions along both axes, `[B, H, W]`, and where light and view are above the horizon."""
+    half = l + v
+    length = half.norm(dim=1).clamp(min=1e-9)
+    along = (n * half).sum(1) / length
+    across = torch.linalg.cross(n, half, dim=1).norm(dim=1) / length
+    theta_h = torch.atan2(across, along).clamp(0, math.pi / 2)
+    theta_d = torch.atan2((l - v).norm(dim=1), length)
+    at_h = (theta_h / (math.pi / 2)).clamp(min=1e-12) ** _WARP * (_NODES[0] - 1)
+    at_d = theta_d / (math.pi / 2) * (_NODES[1] - 1)
+    above = ((n * l).sum(1) > 0) & ((n * v).sum(1) > 0)
+    return (at_h, at_d), above
+
+
+def _corners(place: tuple[Tensor, Tensor]) -> list[tuple[Tensor, Tensor]]:
+    """The four nodes around and their shares."""
+    low = [p.floor().clamp(0, n - 2) for p, n in zip(place, _NODES, strict=True)]
+    part = [p - b for p, b in zip(place, low, strict=True)]
+    found = []
+    for i in (0, 1):
+        for j in (0, 1):
+            index = (low[0].long() + i) * _NODES[1] + low[1].long() + j
+            share = (part[0] if i else 1 - part[0]) * (part[1] if j else 1 - part[1])
+            found.append((index, share))
+    return found

@@ -1,0 +1,78 @@
+"""The pieces of an inlay in its photographs: by a map, or looked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.capture_normals import LitSet
+from raden_torch.capture.photo.segmentation import segment
+from raden_torch.errors import InputError
+from raden_torch.images.pixels import read_pixels
+
+_FEWEST_PX = 4
+
+
+def pieces_of(
+    given: LitSet, path: Path | None, shells: int, smallest_px: int
+) -> tuple[NDArray[np.int32], NDArray[np.int64] | None]:
+    """Pieces numbered from 1 by falling area, `[H, W]`; and the shell of each where a map tells.
+
+    Args:
+        path: the map of shells, from 1; where None, pieces are looked for.
+        shells: how many there are.
+        smallest_px: an area of fewer pixels is no piece.
+
+    Raises:
+        InputError: a map that does not fit, or no piece.
+    """
+    import cv2
+
+    if path is None:
+        photos = [p.movedim(0, -1).numpy() for p in given.photos.images]
+        index = segment(photos, shells, smallest_px=smallest_px).index.astype(np.int64)
+    else:
+        index = _read_map(path, given.photos.size, shells)
+    index = np.where(given.mask > 0.5, index, 0)
+    pieces, shell = np.zeros(index.shape, np.int32), []
+    sizes: list[tuple[int, int, int]] = []
+    labels = {}
+    for value in range(1, int(index.max(initial=0)) + 1):
+        count, labels[value], stats, _ = cv2.connectedComponentsWithStats(
+            (index == value).astype(np.uint8), connectivity=4
+        )
+        areas = stats[:, cv2.CC_STAT_AREA]
+        sizes += [(int(areas[k]), value, k) for k in range(1, count)]
+    kept = sorted((s for s in sizes if s[0] >= max(smallest_px, _FEWEST_PX)), reverse=True)
+    if not kept:
+        raise InputError(
+            f"{path or 'photographs'}: expected at least one piece of "
+            f"{smallest_px} pixels within the mask, got none"
+        )
+    for number, (_, value, k) in enumerate(kept):
+        pieces[labels[value] == k] = number + 1
+        shell.append(value - 1)
+    return pieces, None if path is None else np.array(shell)
+
+
+def _read_map(path: Path, size: tuple[int, int], shells: int) -> NDArray[np.int64]:
+    pixels = read_pixels(path, colour=False)
+    if pixels.ndim == 3 and (pixels == pixels[..., :1]).all():
+        pixels = pixels[..., 0]
+    if pixels.ndim != 2 or pixels.dtype not in (np.uint8, np.uint16):
+        raise InputError(
+            f"{path}: expected a map of one channel of 8 or 16 bits, whose values are indices"
+        )
+    if pixels.shape != size:
+        raise InputError(
+            f"{path}: expected the photographs' {size[1]} x {size[0]} pixels, got "
+            f"{pixels.shape[1]} x {pixels.shape[0]}"
+        )
+    if int(pixels.max()) > shells:
+        raise InputError(
+            f"{path}: expected indices 0…{shells}, 0 for the ground and one a model, got "
+            f"{int(pixels.max())}"
+        )
+    return pixels.astype(np.int64)

@@ -1,0 +1,86 @@
+"""`raden capture normals --model` and its other ways, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import raden_torch as rt
+from raden_torch.brdf.files.image_file import read_normal_map
+from raden_torch.brdf.materials.palette import Palette
+from raden_torch.brdf.materials.runtime import runtime_brdf
+from raden_torch.brdf.model.runtime_table import RuntimeLayout
+from tests.stereo.scenes import Scene, Shell, off_deg
+
+
+@pytest.fixture(scope="module")
+def folder(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("stereo")
+    scene.write(made)
+    layout = RuntimeLayout((32, 57, 65), (0.4, 0.3))
+    baked = runtime_brdf(Shell().of_unit_vectors, torch.zeros(1), layout)
+    rt.save_model(Palette([baked], ["simulated"]), made / "shell.safetensors")
+    return made
+
+
+def command(folder: Path, *more: object) -> list[object]:
+    photos = sorted(folder.glob("photo*.png"))
+    known = ("--lights", folder / "lights.json", "--mask", folder / "mask.png")
+    return ["capture", "normals", *photos, *known, "--coded", "linear", *more]
+
+
+def test_photographs_and_a_model_to_normals(
+    raden, scene: Scene, folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "normals"
+    done = raden(*command(folder, "--model", folder / "shell.safetensors", "-o", out))
+    assert done.returncode == 0, done.stderr
+    written = ("albedo.png", "confidence.png", "found.png", "normals.exr", "normals.json")
+    assert sorted(p.name for p in out.iterdir()) == sorted((*written, "normals.png"))
+    found = read_normal_map(out / "normals.png")[0][:, torch.tensor(scene.mask)]
+    assert np.median(off_deg(found, scene.true)) < 0.3
+    said = json.loads((out / "normals.json").read_text())
+    assert (said["method"], said["model"]) == ("model", "shell.safetensors")
+    assert said["pixels_solved"] == scene.mask.sum()
+    assert said["median_standard_error_deg"] < 2
+    assert max(lamp["relative_residual"] for lamp in said["lamps"]) < 0.1
+
+
+def test_photographs_in_another_order_are_refused(
+    raden, scene: Scene, folder: Path, tmp_path: Path
+) -> None:
+    order = [3, 1, 2, 0, *range(4, 10)]
+    replace(scene, linear=scene.linear[order]).write(tmp_path)
+    known = ("--lights", folder / "lights.json", "--mask", folder / "mask.png", "--coded", "linear")
+    words = ["capture", "normals", *sorted(tmp_path.glob("photo*.png")), *known]
+    words += ["--model", folder / "shell.safetensors", "-o", tmp_path / "n"]
+    done = raden(*words)
+    assert done.returncode == 2
+    assert "photo00.png under lamp 4, photo03.png under lamp 1" in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "n").exists()
+    done = raden(*words, "--keep-order", warn="default")
+    assert done.returncode == 0
+    assert "another order" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (("--model", "shell.safetensors", "--method", "robust"), "--model and --method"),
+        (("--colour", "colour.json"), "--colour: expected with --model"),
+        (("--method", "alternating", "--refine-intensity"), "--refine-intensity"),
+        (("--model", "none.safetensors"), "none.safetensors"),
+    ],
+)
+def test_what_does_not_go_together(raden, folder: Path, tmp_path: Path, more, said) -> None:
+    done = raden(*command(folder, *more, "-o", tmp_path / "n"), cwd=folder)
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "n").exists()
