@@ -54,6 +54,12 @@ def bake(
     """
     inner = function.inner if isinstance(function, Continued) else function
     pieces = _longer(allocate(like or inner, nodes, seed), inner.grid, function.grid)
+    return BakedTable(at_nodes(function, pieces), pieces)
+
+
+def at_nodes(function: Interpolant | Continued, pieces: Pieces) -> Floats:
+    """`[X, Y, Z, C]`: the function at the nodes of a table with these cuts."""
+    inner = function.inner if isinstance(function, Continued) else function
     axes = [_nodes(cuts) for cuts in pieces]
     step, first = function.grid.step, function.grid.low
     cells = len(pieces[0])
@@ -67,7 +73,7 @@ def bake(
     values[used] = in_parts(function, angles[used])
     if function.grid.is_mirrored:
         _average_equivalents(values, len(pieces[0]), pieces[1])
-    return BakedTable(values, pieces)
+    return values
 
 
 def in_parts(function: Callable[[Floats], Floats], angles_deg: Floats) -> Floats:

@@ -13,7 +13,7 @@ away are random. X, Y and Z err independently, as their standard deviations are 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -22,19 +22,20 @@ import torch
 from scipy.linalg import hadamard
 from torch import Tensor
 
-from raden_torch.arrays import Floats
-from raden_torch.brdf.fitting.bake import in_parts
+from raden_torch.arrays import Floats, Ints
+from raden_torch.brdf.fitting.bake import at_nodes, in_parts
 from raden_torch.brdf.fitting.tabulate import Tabulated, tabulate
 from raden_torch.brdf.model.balance import balanced
 from raden_torch.brdf.model.model import RadenBrdf
+from raden_torch.brdf.model.reflectance_table import Pieces, corners
 from raden_torch.brdf.model.runtime_table import node_angles
 from raden_torch.brdf.model.table_errors import TableErrors
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.measurement.error_parts import ErrorParts, error_parts, stated_variance
 from raden_torch.measurement.readings import XYZ
-from raden_torch.reflectance.continuation import continued
-from raden_torch.reflectance.interpolation import interpolate
+from raden_torch.reflectance.continuation import Continued, continued
+from raden_torch.reflectance.interpolation import Interpolant, interpolate
 
 _ROUNDS = 2
 """Of eight patterns: random signs of further cells, drawn so many times."""
@@ -114,9 +115,10 @@ class _Steps:
         table: of them.
         total: `[A, R, T, 3]` factors without gaps.
         outside: as of `fit`.
-        nodes_deg: `[K, 3]` incidence, receiving and tilt of the runtime table's nodes.
+        pieces: of the fit form's table, or None.
+        read_from: the eight nodes of it around each of the runtime table's K, and their weights.
         shape: of the runtime table, K nodes.
-        weight: `[K, 1]`, how much of a node is the table.
+        weight: `[K, 1]`, how much of a node is the fit form's table.
         xyz_to_rgb: `[3, 3]` of f_r.
     """
 
@@ -125,7 +127,8 @@ class _Steps:
     total: Floats
     scheme: str
     outside: str
-    nodes_deg: Floats
+    pieces: Pieces | None
+    read_from: Sequence[tuple[Ints, Floats]]
     shape: tuple[int, int, int]
     weight: Floats
     xyz_to_rgb: Floats
@@ -144,14 +147,16 @@ class _Steps:
         angles = [angle.flatten() for angle in node_angles(model.layout)]
         assert model.table is not None
         with torch.no_grad():
-            _, weight = model.table.positions(*angles)
+            positions, weight = model.table.positions(*angles)
+        a, r, t, _ = model.table.values.shape
         return cls(
             readings,
             table,
             table.channels.factors(total),
             scheme,
             outside,
-            np.rad2deg(torch.stack(angles, 1).numpy()),
+            model.table.pieces,
+            [(i.numpy(), w.double().numpy()) for i, w in corners((a, r, t), *positions)],
             model.layout.shape,
             weight[:, None].numpy(),
             table.channels.f_r(np.eye(3)).T,
@@ -165,7 +170,7 @@ class _Steps:
         """`[K, 3 P]`, some patterns at a time: the change of the factors by each; their mean square
         is the variance."""
         cells = self.total.size
-        count = max(1, _AT_ONCE // max(cells, 3 * len(self.nodes_deg)) - 1)
+        count = max(1, _AT_ONCE // max(cells, 3 * len(self.weight)) - 1)
         signs = _signs(*self._places())
         for first in range(0, len(signs), count):
             changed = [self._filled(xyz + s[:, None] * std) for s in signs[first : first + count]]
@@ -188,14 +193,16 @@ class _Steps:
         """`[K, C]` at the runtime table's nodes, of `[A, R, T, C]`; the fourth channel and those
         after it have the lobes of the first three."""
         inner = interpolate(self.table.grid, factors, self.scheme)
-        function: Callable[[Floats], Floats] = inner
-        at = self.nodes_deg
+        function: Interpolant | Continued = inner
         if self.outside == "continued":
             function = continued(inner, factors)
+        if self.pieces is None:
+            table = in_parts(function, function.grid.nodes_deg().reshape(-1, 3))
         else:
-            at = np.clip(at, inner.grid.low, inner.grid.high)
-        nodes = torch.from_numpy(in_parts(function, at) * self.weight)
-        return balanced(nodes.view(*self.shape, -1)).flatten(0, 2).numpy()
+            table = at_nodes(function, self.pieces).reshape(-1, factors.shape[-1])
+        nodes = sum(weight[:, None] * table[place] for place, weight in self.read_from)
+        read = torch.from_numpy(nodes * self.weight).view(*self.shape, -1)
+        return balanced(read).flatten(0, 2).numpy()
 
 
 def _signs(places: np.ndarray, shape: tuple[int, ...]) -> Floats:
