@@ -27,8 +27,10 @@ from raden_torch.capture.photo.brdf.photo_passes import (
 )
 from raden_torch.capture.photo.brdf.photo_series import PhotoSeries, read_series
 from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
+from raden_torch.capture.photo.brdf.sample_moves import SamplesByShot
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
-from raden_torch.capture.photo.brdf.seen_surface import fixed_surface, normal_std_deg
+from raden_torch.capture.photo.brdf.seen_surface import fixed_surface, outline_std_px
+from raden_torch.capture.photo.brdf.shared_errors import shared_errors
 from raden_torch.capture.photo.brdf.shots import Shot
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
@@ -107,22 +109,20 @@ def capture_brdf(
     first = first_pass(_reported(views, series, progress, 0.0), series, white, factor, grid)
     fit = robust_fit(first.kept, grid)
     lamp_std_deg = np.array([lamp.std_deg for lamp in series.lamps])
-    agreed = agreement(first.kept, fit, first.scale, grid, lamp_std_deg)
+    by_shot = SamplesByShot(first.kept, series, first.shapes, grid)
+    leans = [by_shot.of(k).leans(grid.step_deg) for k in range(len(by_shot))]
+    lean = by_shot.wrong_by(leans, fit, first.scale)
+    agreed = agreement(first.kept, fit, first.scale, lean, lamp_std_deg)
     doubts = [moved(first.edges, series.names), agreed.contradiction(series.names)]
     warned = _raised_or_warned(doubts, go_on=go_on)
 
     views = photo_views(series, sample, fixed)
     found = second_pass(_reported(views, series, progress, 0.5), first, fit, grid)
-    cover = _checked_coverage(found, grid, series, sample, first.shape)
+    cover = _checked_coverage(found, grid, series, sample, first.shapes[0])
     colour = NodeColour.of(setup.colour, found.scale)
-    budget = budget_of(
-        found,
-        grid,
-        colour,
-        lamp_std_deg=lamp_std_deg,
-        normal_std_deg=normal_std_deg(fixed),
-        scale_std=factor.relative_std,
-    )
+    outline_px = outline_std_px(fixed, setup.outline_std_px)
+    shared = shared_errors(by_shot, leans, found, series, colour, grid, outline_px=outline_px)
+    budget = budget_of(found, colour, shared, scale_std=factor.relative_std)
     about = _metadata(metadata or Metadata(), sample, found, cover, factor)
     return CapturedBrdf(
         measurement=_measurement(found, grid, colour, budget, about),

@@ -32,14 +32,14 @@ class NodeValues:
         value: `[cells, 3]` at the node.
         noise: `[cells, 3]` its standard deviation by the scatter of the samples.
         place: `[cells, 3]` the same by what is not known of the slopes within the cell.
-        slope: `[cells, 3, 3]` change a degree of incidence, receiving and tilt, of each channel.
+        coefficients: `[cells, 10, 3]` of the quadratic, in steps of the grid.
         count: `[cells]` samples that took part.
     """
 
     value: Floats
     noise: Floats
     place: Floats
-    slope: Floats
+    coefficients: Floats
     count: NDArray[np.int64]
 
 
@@ -106,7 +106,7 @@ class CellSums:
             value=on_grid(found[:, 0]),
             noise=on_grid(scatter * np.sqrt(from_noise.clip(min=0))[:, None]),
             place=on_grid(place),
-            slope=on_grid(found[:, 1:4].transpose(0, 2, 1) / grid.step_deg),
+            coefficients=on_grid(found),
             count=count,
         )
 
