@@ -55,7 +55,7 @@ class RobustFit:
         index: `[cells]` their row here, or −1.
         coefficients: `[T, 10, 3]`.
         scale: `[T, 3]` robust standard deviation of single samples around the fit.
-        prior: `[T, 10]` deviation of each coefficient, of the terms in (Δa + Δr)/2, (Δa − Δr)/2, Δt.
+        prior: `[T, 10]` deviation of each coefficient of the terms in s, u and Δt (`_turn`).
         rejected: share of the chosen samples that lie beyond `REJECT` scales.
     """
 
@@ -149,7 +149,8 @@ def _prior(cells: Ints, level: Floats, grid: CellGrid) -> Floats:
 
 def _change(table: Floats, step: tuple[int, int, int]) -> Floats:
     """The largest difference a step to the next cell that has a value, on either side, at most
-    `_FARTHEST` steps away; NaN where there is none."""
+    `_FARTHEST` steps away; NaN where there is none. Over n steps it is taken for the sum of n
+    changes that are independent."""
     found = np.full(table.shape, np.nan)
     for sign in (1, -1):
         this = np.full(table.shape, np.nan)
@@ -159,7 +160,7 @@ def _change(table: Floats, step: tuple[int, int, int]) -> Floats:
             if not table[of].size:
                 break
             shifted[to] = table[of]
-            change = abs(shifted - table) / count
+            change = abs(shifted - table) / np.sqrt(count)
             this = np.where(np.isnan(this), change, this)
         found = np.fmax(found, this)
     return found

@@ -84,6 +84,10 @@ class ShotSamples:
     light: Floats
     sign: Floats32
 
+    def seen_under(self, lamp: Lamp) -> tuple[Floats32, Floats]:
+        """Angles `[n, 3]` in degrees and irradiance `[n]`, if the lamp stood there."""
+        return _seen(self.rays, self.shape, lamp, self.shape.middle)
+
     def under(self, lamp: Lamp, step_deg: float) -> Moves:
         """If the lamp stood there."""
         return self._moves(*_seen(self.rays, self.shape, lamp, self.shape.middle), step_deg)

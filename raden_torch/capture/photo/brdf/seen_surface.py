@@ -100,6 +100,14 @@ def outline_std_px(fixed: SeenSurface | None, stated: float | None) -> float:
     return fixed.outline_px if stated is None else stated
 
 
+def normal_std_deg(fixed: SeenSurface | None, outline_px: float) -> float:
+    """Of the normals, by the outline's standard deviation over its radius in the picture."""
+    if fixed is None:
+        return 0.0
+    across = min(np.ptp(fixed.x_px), np.ptp(fixed.y_px)) / 2
+    return float(np.degrees(outline_px / max(across, 1.0)))
+
+
 def _seen_in(series: PhotoSeries, sample: SampleSpec, shot: Shot) -> SeenSurface:
     pictures = (frame.radiance for frame in linear_frames(series))
     placed = place_sample(sample, series.camera, shot.pose, series.size, pictures, shot.name)
