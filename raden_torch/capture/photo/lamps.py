@@ -82,9 +82,10 @@ class Lamps:
         for k, (away, turn) in enumerate(zip(self.away_deg, self.turn_deg, strict=True)):
             name = self.names[k] if self.names else f"lamp {k + 1}"
             line = f"{name}: {away:.1f} deg from the camera's axis, towards {turn:.0f} deg"
+            line += " (0 right, 90 up)"
             if self.std_deg is not None:
-                line += f" (± {self.std_deg[k]:.2f} deg)"
-            line += f" (0 right, 90 up), intensity {self.intensity[k]:.3f}"
+                line += f", ± {self.std_deg[k]:.2f} deg"
+            line += f", intensity {self.intensity[k]:.3f}"
             if self.position is not None and self.miss is not None:
                 at = ", ".join(f"{c:.0f}" for c in self.position[k])
                 line += f", at {at} {self.unit} (rays miss by {self.miss[k]:.1f})"
