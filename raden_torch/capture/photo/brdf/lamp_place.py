@@ -31,6 +31,9 @@ _BIN_DEG = 2.5
 _FEWEST = 5
 _FEWEST_PAIRS = 40
 _ROUNDS = 10
+_STILL_DEG = 0.02
+_MOST = 16_000
+"""Samples of a photograph that are asked."""
 _FAR_DEG = 5.0
 """A step of Gauss–Newton is at most so long."""
 _SURE_DEG = 1.0
@@ -96,7 +99,7 @@ def lamp_places(by_shot: SamplesByShot, kept: Reservoir, series: PhotoSeries) ->
     lean, covariance = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
     towards = np.full((count, 3), np.nan)
     for k in range(count):
-        part = by_shot.of(k)
+        part = by_shot.of(k, at_most=_MOST)
         found = _placed(part, kept.y[part.rows].mean(axis=1).astype(np.float64))
         if found is None:
             continue
@@ -122,7 +125,7 @@ def _placed(part: ShotSamples, value: Floats) -> tuple[Lamp, Floats] | None:
         step, covariance = _solved(*pairs)
         length = float(np.linalg.norm(step))
         lamp = lamp.turned(step * min(1.0, _FAR_DEG / max(length, 1e-9)), part.shape.middle)
-        if length < 0.1 * float(np.sqrt(np.trace(covariance))):
+        if length < max(_STILL_DEG, 0.1 * float(np.sqrt(np.trace(covariance)))):
             break
     if not np.trace(covariance) < 2 * _SURE_DEG**2 or length > 1:
         return None

@@ -142,9 +142,11 @@ class SamplesByShot:
     def __len__(self) -> int:
         return len(self._shapes)
 
-    def of(self, number: int) -> ShotSamples:
-        """Those of one shot."""
+    def of(self, number: int, at_most: int | None = None) -> ShotSamples:
+        """Those of one shot, or so many of them, of every cell alike."""
         rows = self._order[self._ends[number] : self._ends[number + 1]]
+        if at_most is not None:
+            rows = rows[:: max(1, -(-len(rows) // at_most))]
         pixel, width = self._kept.pixel[rows], self._series.size[1]
         rays = rays_through(self._series.camera, pixel % width, pixel // width)
         shape, lamp = self._shapes[number], self._series.lamps[number]

@@ -20,7 +20,6 @@ from tests.capture.photo.brdf.conftest import anywhere, lamp_triples
 
 CASES = {
     "noise": {"noise": 0.01},
-    "lamps that lean": {"lamp_error_deg": 0.5},
     "near lamps that lean": {"lamp_error_deg": 0.5, "near": 6.0},
     "three lamps that lean": {"lamp_error_deg": 0.5},
 }
@@ -30,12 +29,12 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_repeats_scatter_by_the_stated_deviation(sphere: Any, case: str) -> None:
     """Rationale: a standard deviation is right where errors against the truth are as large, in each
-    region. Six series each, whose lamps stand on no node of the grid and whose mask is drawn 0.1
+    region. Five series each, whose lamps stand on no node of the grid and whose mask is drawn 0.1
     px off; 50 of them are in docs/brdf_from_photographs.md."""
     options = {"noise": 0.002} | CASES[case]
     lamps = lamp_triples(25, 60)[[0, 2, 4]] if "three" in case else sphere.triples
     values, deviations = [], []
-    for seed in range(6):
+    for seed in range(5):
         placed = anywhere(lamps, seed)
         series = sphere.series(
             lamps=placed, radius=60.0, outline_error_px=0.1, seed=seed, **options
