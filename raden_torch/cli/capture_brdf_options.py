@@ -113,7 +113,11 @@ class SetupOptions:
     lights_seen_in: str | None = None
     """photograph whose camera frame --lights is in; with --lamps-stand board"""
     lamp_std: float | None = None
-    """standard deviation of the lamps' directions, degrees"""
+    """standard deviation of the lamps' directions, degrees; by default as the lights file has it,
+    else 0.5"""
+    outline_std: float | None = None
+    """standard deviation of the outline of a sphere or cylinder, pixels; by default what its mask
+    tells"""
     stack: int = 1
     """number of files per photograph, in sequence: an exposure stack"""
     plan: Path | None = None
@@ -134,6 +138,7 @@ class SetupOptions:
             self.stack,
             self.lights_seen_in,
             self.lamp_std,
+            self.outline_std,
             reading.development(),
         )
 

@@ -13,6 +13,7 @@ from raden_torch.capture.photo.brdf.agreement import Agreement, agreement
 from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
 from raden_torch.capture.photo.brdf.cell_fit import robust_fit
 from raden_torch.capture.photo.brdf.coverage import Coverage, coverage
+from raden_torch.capture.photo.brdf.lamp_place import LampPlace, lamp_places
 from raden_torch.capture.photo.brdf.lighting import Lamp
 from raden_torch.capture.photo.brdf.movement import moved
 from raden_torch.capture.photo.brdf.node_colour import NodeColour
@@ -27,8 +28,14 @@ from raden_torch.capture.photo.brdf.photo_passes import (
 )
 from raden_torch.capture.photo.brdf.photo_series import PhotoSeries, read_series
 from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
+from raden_torch.capture.photo.brdf.sample_moves import SamplesByShot
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
-from raden_torch.capture.photo.brdf.seen_surface import fixed_surface, normal_std_deg
+from raden_torch.capture.photo.brdf.seen_surface import (
+    fixed_surface,
+    normal_std_deg,
+    outline_std_px,
+)
+from raden_torch.capture.photo.brdf.shared_errors import shared_errors
 from raden_torch.capture.photo.brdf.shots import Shot
 from raden_torch.capture.photo.guide.plan_check import check_planned
 from raden_torch.errors import InputError
@@ -55,6 +62,7 @@ class CapturedBrdf:
         shots: the photographs.
         lamps: of each, in the frame of its camera.
         agreement: of the photographs with each other.
+        places: where each photograph itself puts its lamp.
         coverage: of the grid, and what would help.
         notes: what a person should know.
     """
@@ -67,6 +75,7 @@ class CapturedBrdf:
     shots: list[Shot]
     lamps: list[Lamp]
     agreement: Agreement
+    places: LampPlace
     coverage: Coverage
     notes: tuple[str, ...]
 
@@ -127,24 +136,24 @@ def capture_brdf(
     first = first_pass(_reported(views, series, progress, 0.0), series, white, factor, grid)
     fit = robust_fit(first.kept, grid)
     lamp_std_deg = np.array([lamp.std_deg for lamp in series.lamps])
-    agreed = agreement(first.kept, fit, first.scale, grid, lamp_std_deg)
+    by_shot = SamplesByShot(first.kept, series, first.shapes, grid)
+    leans = [by_shot.of(k).leans(grid.step_deg) for k in range(len(by_shot))]
+    lean = by_shot.wrong_by(leans, fit, first.scale)
+    agreed = agreement(first.kept, fit, first.scale, lean, lamp_std_deg)
     doubts = [moved(first.edges, series.names), agreed.contradiction(series.names)]
-    warned += _raised_or_warned(doubts, go_on=go_on)
+    outline_px = outline_std_px(fixed, setup.outline_std_px)
+    places = lamp_places(by_shot, first.kept, series)
+    elsewhere = places.warnings(series.names, series.lamps, normal_std_deg(fixed, outline_px))
+    warned += [*_raised_or_warned(doubts, go_on=go_on), *_warned(elsewhere)]
 
     views = photo_views(series, sample, fixed)
     half = _reported(views, series, progress, 0.5)
     found = second_pass(half, first, fit, grid, amid_samples=scattered)
     least = 0.0 if scattered else LEAST_COVERAGE
-    cover = _checked_coverage(found, grid, series, sample, first.shape, least)
+    cover = _checked_coverage(found, grid, series, sample, first.shapes[0], least)
     colour = NodeColour.of(setup.colour, found.scale, series.colour)
-    budget = budget_of(
-        found,
-        grid,
-        colour,
-        lamp_std_deg=lamp_std_deg,
-        normal_std_deg=normal_std_deg(fixed),
-        scale_std=factor.relative_std,
-    )
+    shared = shared_errors(by_shot, leans, found, series, colour, grid, outline_px=outline_px)
+    budget = budget_of(found, colour, shared, scale_std=factor.relative_std)
     about = _metadata(metadata or Metadata(), sample, found, cover, factor)
     return CapturedBrdf(
         measurement=_measurement(found, grid, colour, budget, about),
@@ -155,6 +164,7 @@ def capture_brdf(
         shots=series.shots,
         lamps=series.lamps,
         agreement=agreed,
+        places=places,
         coverage=cover,
         notes=(*found.scale.notes, *warned, *_said_of_colour(setup, series)),
     )
@@ -187,6 +197,13 @@ def _raised_or_warned(doubts: Sequence[str | None], *, go_on: bool) -> list[str]
             raise InputError(f"{doubt} (or continue anyway: `go_on`)")
         warnings.warn(doubt, stacklevel=3)
     return there
+
+
+def _warned(lines: Sequence[str]) -> Sequence[str]:
+    """The same, each a warning."""
+    for line in lines:
+        warnings.warn(line, stacklevel=3)
+    return lines
 
 
 def _metadata(

@@ -14,6 +14,7 @@ import torch
 from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
 from raden_torch.capture.photo.ball_lens import BallLens
 from raden_torch.capture.photo.highlight import Highlight, find_highlight
+from raden_torch.capture.photo.lamp_errors import direction_std_deg
 from raden_torch.capture.photo.lamps import Lamps, lamps_from_balls
 from raden_torch.capture.photo.lights_check import MIN_LAMPS, check_lights
 from raden_torch.capture.photo.photo_set import (
@@ -80,7 +81,8 @@ def capture_lights(
         for image, path in zip(linear, photos.paths, strict=True)
     ]
     lamps = lamps_from_balls(balls, seen, unit="px" if camera is None else "mm")
-    lamps = replace(lamps, distortion=lens.distortion)
+    std_deg = direction_std_deg(lamps, balls, seen)
+    lamps = replace(lamps, distortion=lens.distortion, std_deg=std_deg)
     check_lights(torch.from_numpy(lamps.direction), f"{photographs[0]} … {photographs[-1]}")
     _warn_of_twins(lamps)
     done(0.6)

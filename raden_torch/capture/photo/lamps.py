@@ -45,6 +45,8 @@ class Lamps:
         distortion: of its lens, as OpenCV has it.
         tint: `[K, 3]` RGB of each lamp over its intensity, relative to the mean of all lamps, as a
             reference gave them; None where nothing is known.
+        std_deg: `[K]` standard deviation of each direction, in each of two directions across; None
+            where nothing is known.
     """
 
     direction: Floats
@@ -58,6 +60,7 @@ class Lamps:
     matrix: Floats | None = None
     distortion: Floats | None = None
     tint: Floats | None = None
+    std_deg: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.direction)
@@ -79,7 +82,10 @@ class Lamps:
         for k, (away, turn) in enumerate(zip(self.away_deg, self.turn_deg, strict=True)):
             name = self.names[k] if self.names else f"lamp {k + 1}"
             line = f"{name}: {away:.1f} deg from the camera's axis, towards {turn:.0f} deg"
-            line += f" (0 right, 90 up), intensity {self.intensity[k]:.3f}"
+            line += " (0 right, 90 up)"
+            if self.std_deg is not None:
+                line += f", ± {self.std_deg[k]:.2f} deg"
+            line += f", intensity {self.intensity[k]:.3f}"
             if self.position is not None and self.miss is not None:
                 at = ", ".join(f"{c:.0f}" for c in self.position[k])
                 line += f", at {at} {self.unit} (rays miss by {self.miss[k]:.1f})"
@@ -134,6 +140,7 @@ class LampEntry(Struct):
     tint_rgb: tuple[Positive, Positive, Positive] | None = None
     position_px: Triple | None = None
     position_mm: Triple | None = None
+    direction_std_deg: Positive | None = None
 
 
 class LightsFile(Struct):
@@ -215,6 +222,7 @@ def write_lamps(
             "direction_to_lamp": np.round(lamps.direction[k], 6),
             "intensity": round(float(lamps.intensity[k]), 5),
         }
+        | ({} if lamps.std_deg is None else {"direction_std_deg": _digits(lamps.std_deg[k])})
         | ({} if lamps.tint is None else {"tint_rgb": np.round(lamps.tint[k], 5)})
         | ({} if lamps.position is None else {f"position_{lamps.unit}": lamps.position[k]})
         for k, name in enumerate(lamps.names or [str(k) for k in range(len(lamps))])
@@ -265,7 +273,13 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
         distortion=_array(found.camera_distortion),
         tint=_column(path, found.lamps, "tint_rgb"),
         names=tuple(lamp.photograph for lamp in found.lamps),
+        std_deg=_column(path, found.lamps, "direction_std_deg"),
     )
+
+
+def _digits(value: float) -> float:
+    """Three digits, as a standard deviation has at best."""
+    return float(f"{value:.3g}")
 
 
 def _array(values: Any) -> Floats | None:
@@ -273,13 +287,13 @@ def _array(values: Any) -> Floats | None:
 
 
 def _column(path: str | os.PathLike[str], lamps: Sequence[LampEntry], key: str) -> Floats | None:
-    """`[K, 3]` of what all lamps have, or none of them."""
+    """`[K, …]` of what all lamps have, or none of them."""
     values = [getattr(lamp, key) for lamp in lamps]
     missing = [k for k, value in enumerate(values) if value is None]
     if len(missing) == len(values):
         return None
     if missing:
         raise InputError(
-            f"{path}: lamps[{missing[0]}].{key}: expected 3 numbers, as other lamps have, got none"
+            f"{path}: lamps[{missing[0]}].{key}: expected it, as other lamps have it, got none"
         )
     return np.array(values)

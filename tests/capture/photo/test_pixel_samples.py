@@ -13,7 +13,7 @@ import pytest
 from raden_torch.capture.photo.brdf.agreement import agreement
 from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec
 from raden_torch.capture.photo.brdf.cell_fit import robust_fit
-from raden_torch.capture.photo.brdf.lighting import Lamp, lamps_of_shots
+from raden_torch.capture.photo.brdf.lighting import Lamp, directions_across, lamps_of_shots
 from raden_torch.capture.photo.brdf.movement import edges_near, moved, outline_of
 from raden_torch.capture.photo.brdf.node_colour import NodeColour
 from raden_torch.capture.photo.brdf.photo_budget import relative_colour
@@ -36,6 +36,7 @@ from raden_torch.capture.photo.brdf.seen_surface import (
     LEAST_COSINE,
     SeenSurface,
     normal_std_deg,
+    outline_std_px,
     seen_surface,
 )
 from raden_torch.capture.photo.brdf.shots import Shot, shots_of
@@ -52,8 +53,9 @@ SIZE = (140, 160)
 BALL = Sphere(np.array([80.0, -70.0, 0.0]), 50.0)
 LEAN = np.array([0.3, -0.2, 0.8]) / np.sqrt(0.77)
 RGB = np.array([0.9, 1.0, 1.1])
-FAR = Lamp(LEAN, None, RGB, 0.1)
-NEAR = Lamp(LEAN, BALL.middle + 300 * LEAN, RGB, 0.1)
+ACROSS = directions_across(LEAN)
+FAR = Lamp(LEAN, None, RGB, 0.1, ACROSS)
+NEAR = Lamp(LEAN, BALL.middle + 300 * LEAN, RGB, 0.1, ACROSS)
 
 
 def seen_ball(ball: Sphere = BALL) -> SeenSurface:
@@ -82,13 +84,14 @@ def test_a_matt_ball_reflects_alike_in_all_pixels(lamp: Lamp) -> None:
     for the viewer."""
     seen, albedo, white = seen_ball(), np.array([0.2, 0.4, 0.6]), np.array([0.9, 0.8, 0.7])
     tiles = list(samples(lit_by(lamp, seen, albedo), seen, lamp, white * lamp.rgb))
-    angles, value = (np.concatenate(part) for part in zip(*tiles, strict=True))
+    angles, value, pixel = (np.concatenate(part) for part in zip(*tiles, strict=True))
     np.testing.assert_allclose(value, np.broadcast_to(albedo / white, value.shape), rtol=1e-5)
     way = lamp.direction if lamp.position is None else lamp.position - seen.surface.point
     way = np.broadcast_to(way, seen.surface.point.shape)
     lit = (way * seen.surface.normal).sum(1) / np.linalg.norm(way, axis=1)
     lit_there = lit > LEAST_COSINE
     assert len(value) == lit_there.sum()
+    np.testing.assert_array_equal(pixel, (seen.y_px * SIZE[1] + seen.x_px)[lit_there])
     a, r, t = np.radians(angles.T.astype(float))
     np.testing.assert_allclose(np.cos(a) * np.cos(t), lit[lit_there], atol=1e-5)
     facing = seen.surface.normal[lit_there, 2]
@@ -118,8 +121,11 @@ def test_pixels_that_graze_the_sample_are_left_out() -> None:
     assert share == pytest.approx(1 - LEAST_COSINE**2, abs=0.01)
     assert seen.middle.tolist() == [80, -70, 50]
     # a third of a pixel over 50 is a third of a degree
-    assert normal_std_deg(seen) == pytest.approx(np.degrees(0.3 / 49.8), rel=0.02)
-    assert normal_std_deg(None) == 0
+    assert outline_std_px(seen, 0.3) == 0.3
+    assert outline_std_px(seen, None) == seen.outline_px
+    assert outline_std_px(None, 0.3) == 0  # on the board
+    assert normal_std_deg(seen, 0.3) == pytest.approx(np.degrees(0.3 / 49.8), rel=0.02)
+    assert normal_std_deg(None, 0.3) == 0
 
 
 def test_a_sphere_is_found_in_the_pictures_only_where_there_is_no_mask(tmp_path: Path) -> None:
@@ -210,9 +216,10 @@ def test_the_white_s_signal_is_that_for_light_from_straight_above() -> None:
 
 def test_a_shot_without_a_white_takes_its_lamp_s_intensity() -> None:
     power = np.array([1.0, 2.0, 0.5, 1.5])
-    lamps = [Lamp(LEAN, None, p * RGB, 0.1) for p in power]
+    lamps = [Lamp(LEAN, None, p * RGB, 0.1, ACROSS) for p in power]
     readings: list[WhiteReading | None] = [
-        WhiteReading(0.3 * p * RGB, np.full(3, 0.01), D65_XYZ, 0.0) for p in power
+        WhiteReading(0.3 * p * RGB, np.full(3, 0.01), D65_XYZ, np.zeros((8, 3)), np.zeros(2))
+        for p in power
     ]
     readings[2] = None
     scale = scale_of(readings, lamps, ["a", "b", "c", "d"])
@@ -224,8 +231,37 @@ def test_a_shot_without_a_white_takes_its_lamp_s_intensity() -> None:
         scale_of([None] * 4, lamps, ["a", "b", "c", "d"])
 
 
+def test_stains_of_the_white_are_common_and_shadows_are_not() -> None:
+    """A pattern in all photographs is one error that all share; what differs between them is each
+    one's own: s / √8 of the eight parts."""
+    random = np.random.default_rng(0)
+    stains, own = 0.02 * random.normal(size=(8, 3)), 0.005 * random.normal(size=(6, 8, 3))
+    readings = [
+        WhiteReading(0.5 * RGB, np.full(3, 0.01), D65_XYZ, stains + part, np.zeros(2))
+        for part in own
+    ]
+    lamps = [Lamp(LEAN, None, RGB, 0.1, ACROSS)] * 6
+    scale = scale_of(readings, lamps, list("abcdef"))
+    wanted = np.std(stains + own.mean(axis=0), axis=0, ddof=1) / np.sqrt(8)
+    np.testing.assert_allclose(scale.common_std, wanted)
+    assert np.sqrt((scale.std**2).mean()) == pytest.approx(0.005 / np.sqrt(8), rel=0.15)
+
+
+def test_a_lamp_that_leans_changes_the_light_on_the_white() -> None:
+    """Of a plane: a radian along e changes cos θ = n·l by n·e."""
+    flat = np.array([[20.0, -20], [120, -20], [120, -120], [20, -120]])
+    corners = np.c_[flat, np.full(4, 50.0)]
+    place = WhitePlace(*np.mgrid[40:60, 40:60].reshape(2, -1), Plane(corners, np.eye(3)[2]))
+    rays = rays_through(None, place.x_px, place.y_px)
+    frame = Frame(np.full((*SIZE, 3), 0.5, np.float32), np.ones(SIZE, bool), timed=False)
+    read = read_white(frame, place, rays, FAR, BALL.middle, WhiteFactor(D65_XYZ))
+    assert read is not None
+    np.testing.assert_allclose(read.lean, np.radians(ACROSS[:, 2] / LEAN[2]), rtol=1e-3)
+
+
 def of_white(rgb: np.ndarray) -> Scale:
-    return Scale(rgb[None], np.full((1, 3), 0.01), 0.9 * D65_XYZ, np.ones(1, bool), ())
+    none = np.zeros(3), np.zeros((1, 2))
+    return Scale(rgb[None], np.full((1, 3), 0.01), *none, 0.9 * D65_XYZ, np.ones(1, bool), ())
 
 
 def test_the_white_comes_out_as_its_own_factor() -> None:
@@ -301,9 +337,11 @@ def test_a_shot_that_is_brighter_in_all_cells(factor: float) -> None:
         level = factor if k == 2 else 1.0
         y = level * (1 + 0.01 * random.normal(size=(len(cells), 3)))
         x = (random.random((len(cells), 3)) - 0.5).astype(np.float32)
-        kept.add(cells, k, x, y.astype(np.float32))
-    scale = Scale(np.ones((8, 3)), np.full((8, 3), 0.005), D65_XYZ, np.ones(8, bool), ())
-    found = agreement(kept, robust_fit(kept, grid), scale, grid, np.full(8, 0.1))
+        kept.add(cells, k, x, y.astype(np.float32), np.zeros(len(cells), np.intp))
+    none = np.zeros(3), np.zeros((8, 2))
+    scale = Scale(np.ones((8, 3)), np.full((8, 3), 0.005), *none, D65_XYZ, np.ones(8, bool), ())
+    lean = np.zeros((len(kept.cell), 2), np.float32)
+    found = agreement(kept, robust_fit(kept, grid), scale, lean, np.full(8, 0.1))
     assert (found.cells == 100).all()
     said = found.contradiction(list("abcdefgh"))
     if factor == 1:

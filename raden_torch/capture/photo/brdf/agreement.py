@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Floats, Floats32
 from raden_torch.capture.photo.brdf.cell_fit import RobustFit
-from raden_torch.capture.photo.brdf.photo_budget import direction_slopes
-from raden_torch.capture.photo.brdf.photo_cells import CellGrid, basis
+from raden_torch.capture.photo.brdf.photo_cells import basis
 from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
 
@@ -85,24 +84,25 @@ def agreement(
     kept: Reservoir,
     fit: RobustFit,
     scale: Scale,
-    grid: CellGrid,
+    lean: Floats32,
     lamp_std_deg: Floats,
 ) -> Agreement:
-    """Compare the chosen samples of each shot with those of the others, cell by cell."""
+    """Compare the chosen samples of each shot with those of the others, cell by cell.
+
+    Args:
+        lean: `[n, 2]` what each sample is wrong by, mean of the channels, a degree that its lamp
+            leans along each of its two directions.
+        lamp_std_deg: `[K]` of the lamps' directions.
+    """
     shots = len(scale.rgb)
-    row = _groups(kept, fit)
+    row = _groups(kept, fit, lean)
     level, cells_of = row.median, len(fit.cell)
     size = np.abs(fit.coefficients[:, 0]).mean(axis=1).astype(np.float64)
     # the scatter within each shot, not that of all, which a contradiction itself makes wide
     pooled = np.bincount(row.cell, row.spread * row.count, cells_of)
     own = (pooled / np.maximum(np.bincount(row.cell, row.count, cells_of), 1))[row.cell]
-    slopes = direction_slopes(
-        fit.coefficients[:, 0].astype(np.float64),
-        np.asarray(fit.coefficients[:, 1:4].transpose(0, 2, 1) / grid.step_deg, np.float64),
-        grid.nodes_deg()[fit.cell],
-    ).mean(axis=1)
     systematic = np.hypot(
-        slopes[row.cell] * lamp_std_deg[row.shot],
+        np.linalg.norm(row.lean, axis=1) * lamp_std_deg[row.shot],
         size[row.cell] * scale.std.mean(axis=1)[row.shot],
     )
     variance = (_OF_MEDIAN * own) ** 2 / row.count + systematic**2 + (2e-3 * size[row.cell]) ** 2
@@ -132,16 +132,18 @@ def agreement(
 @dataclass(frozen=True, eq=False)
 class _Groups:
     """The cells of each shot: rows of the fit, the shot, how many samples, and their differences
-    from the fit, mean of the channels: the median, and the robust deviation around it."""
+    from the fit, mean of the channels: the median, the robust deviation around it, and what a
+    degree of the lamp does."""
 
     cell: NDArray[np.intp]
     shot: NDArray[np.intp]
     count: NDArray[np.intp]
     median: Floats
     spread: Floats
+    lean: Floats
 
 
-def _groups(kept: Reservoir, fit: RobustFit) -> _Groups:
+def _groups(kept: Reservoir, fit: RobustFit, lean: Floats32) -> _Groups:
     row = fit.index[kept.cell]
     used = row >= 0
     row, shot = row[used], kept.shot[used].astype(np.intp)
@@ -158,4 +160,7 @@ def _groups(kept: Reservoir, fit: RobustFit) -> _Groups:
     spread = 1.4826 * ranked[starts + counts // 2]
     enough = counts >= _FEWEST
     first = order[starts[enough]]
-    return _Groups(row[first], shot[first], counts[enough], middle[enough], spread[enough])
+    leaning = np.add.reduceat(lean[used][order].astype(np.float64), starts) / counts[:, None]
+    return _Groups(
+        row[first], shot[first], counts[enough], middle[enough], spread[enough], leaning[enough]
+    )

@@ -33,7 +33,9 @@ class CaptureSetup:
         seen_in: name of the photograph in whose camera's frame `lights` is, where the lamps stand
             beside the board and the camera moves; None where they stand beside the camera.
         lamp_std_deg: standard deviation of the lamps' directions, degrees, in each of two
-            directions across; None: `lighting.LAMP_STD_DEG`.
+            directions across; None: as the lights file has it, else `lighting.LAMP_STD_DEG`.
+        outline_std_px: standard deviation of the outline that a sphere or a cylinder was found by,
+            pixels; None: as its edge tells.
         development: how photographs are read.
     """
 
@@ -44,6 +46,7 @@ class CaptureSetup:
     stack: int = 1
     seen_in: str | None = None
     lamp_std_deg: float | None = None
+    outline_std_px: float | None = None
     development: Development = field(default_factory=Development)
 
 

@@ -35,8 +35,10 @@ _BISQUARE = 6.0
 """Scales at which the bisquare's weight reaches 0."""
 _ROUNDS = 8
 _SLOPE, _BEND = 1.5, 1.0
-"""Deviations of the priors, over the largest difference to a neighbouring cell."""
-_LEAST = 0.05
+"""Deviations of the priors, over the largest difference a step to the next cells."""
+_FARTHEST = 6
+"""Steps to the next cell, at most."""
+_LEAST = 0.01
 """Of that difference, relative to the cell's own level."""
 GRAIN = 1e-4
 """Least scatter of the samples, over the cell's level: no scale is 0 where there is no noise."""
@@ -53,7 +55,7 @@ class RobustFit:
         index: `[cells]` their row here, or −1.
         coefficients: `[T, 10, 3]`.
         scale: `[T, 3]` robust standard deviation of single samples around the fit.
-        prior: `[T, 10]` deviation of each coefficient.
+        prior: `[T, 10]` deviation of each coefficient of the terms in s, u and Δt (`_turn`).
         rejected: share of the chosen samples that lie beyond `REJECT` scales.
     """
 
@@ -103,23 +105,72 @@ def _shrunk() -> Floats:
 def prior_precision(spread: Floats, prior: Floats) -> Floats:
     """`[T, 10, 10]` of the prior, in units of 1 / spread²."""
     diagonal = (spread[:, None] / prior) ** 2 * _shrunk()
-    return diagonal[:, :, None] * np.eye(TERMS)
+    return np.asarray(np.einsum("ki,nk,kj->nij", _TURN, diagonal, _TURN, optimize=True))
+
+
+def _turn() -> Floats:
+    """`[10, 10]`: the coefficients of terms in s = (Δa + Δr)/2, u = (Δa − Δr)/2 and Δt, by those in
+    Δa, Δr and Δt."""
+    found = np.zeros((TERMS, TERMS))
+    found[0, 0] = found[3, 3] = found[6, 6] = 1  # 1, t, t²
+    found[1, 1:3], found[2, 1:3] = (1, 1), (1, -1)  # s, u of a, r
+    square, mixed = (4, 5, 9), (7, 8)  # of a², r², ar; of rt, at
+    for row, by in ((4, (1, 1, 1)), (5, (1, 1, -1)), (9, (2, -2, 0))):  # s², u², su
+        found[row, square] = by
+    found[7, mixed], found[8, mixed] = (-1, 1), (1, 1)  # ut, st
+    return found
+
+
+_TURN = _turn()
 
 
 def _prior(cells: Ints, level: Floats, grid: CellGrid) -> Floats:
-    """`[T, 10]` from the differences between the cells' medians `[T]`."""
+    """`[T, 10]` of the terms in s, u and t, from the differences between the cells' medians `[T]`.
+
+    A far lamp and a far camera hold a + r, so that a photograph tells of u and t, and only other
+    photographs of s; along it a surface changes least.
+    """
     flat = np.full(grid.cells, np.nan)
     flat[cells] = level
     table = flat.reshape(grid.shape)
-    change = np.zeros(grid.shape)
-    for axis in range(3):
-        step = abs(np.diff(table, axis=axis))
-        for part in (slice(1, None), slice(None, -1)):
-            where = tuple(part if k == axis else slice(None) for k in range(3))
-            change[where] = np.fmax(change[where], np.nan_to_num(step))
-    own = np.maximum(change.ravel()[cells], _LEAST * abs(level))
-    own = np.maximum(own, 1e-9 + 1e-6 * float(np.abs(level).max()))
-    return own[:, None] * np.r_[1.0, [_SLOPE] * 3, [_BEND] * 6]
+    along_s, along_u, along_t = (
+        _change(table, step).ravel()[cells] for step in ((1, 1, 0), (1, -1, 0), (0, 0, 1))
+    )
+    known = np.fmax(along_u, along_t)
+    along_s, along_u, along_t = (
+        np.where(np.isnan(change), known, change) for change in (along_s, along_u, along_t)
+    )
+    least = np.maximum(_LEAST * abs(level), 1e-9 + 1e-6 * float(np.abs(level).max()))
+    s, u, t = (np.fmax(change, least) for change in (along_s, along_u, along_t))
+    slopes, bends = [s, u, t], [s, u, t, np.sqrt(u * t), np.sqrt(s * t), np.sqrt(s * u)]
+    columns = [np.ones_like(s), *(_SLOPE * c for c in slopes), *(_BEND * c for c in bends)]
+    return np.stack(columns, axis=1)
+
+
+def _change(table: Floats, step: tuple[int, int, int]) -> Floats:
+    """The largest difference a step to the next cell that has a value, on either side, at most
+    `_FARTHEST` steps away; NaN where there is none. Over n steps it is taken for the sum of n
+    changes that are independent."""
+    found = np.full(table.shape, np.nan)
+    for sign in (1, -1):
+        this = np.full(table.shape, np.nan)
+        for count in range(1, _FARTHEST + 1):
+            shifted = np.full(table.shape, np.nan)
+            to, of = _overlap(table.shape, tuple(sign * count * k for k in step))
+            if not table[of].size:
+                break
+            shifted[to] = table[of]
+            change = abs(shifted - table) / np.sqrt(count)
+            this = np.where(np.isnan(this), change, this)
+        found = np.fmax(found, this)
+    return found
+
+
+def _overlap(shape: tuple[int, ...], by: tuple[int, ...]) -> tuple[Any, Any]:
+    """Where a table is, and where what lies `by` further is."""
+    to = tuple(slice(max(0, -k), max(0, n - max(0, k))) for n, k in zip(shape, by, strict=True))
+    of = tuple(slice(max(0, k), max(0, n + min(0, k))) for n, k in zip(shape, by, strict=True))
+    return to, of
 
 
 def _bisquare(

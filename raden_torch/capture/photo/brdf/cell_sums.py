@@ -32,7 +32,7 @@ class NodeValues:
         value: `[cells, 3]` at the node.
         noise: `[cells, 3]` its standard deviation by the scatter of the samples.
         place: `[cells, 3]` the same by what is not known of the slopes within the cell.
-        slope: `[cells, 3, 3]` change a degree of incidence, receiving and tilt, of each channel.
+        coefficients: `[cells, 10, 3]` of the quadratic, in steps of the grid.
         at: `[cells, 3]` where in the cell the value holds, in steps: 0, or amid the samples.
         count: `[cells]` samples that took part.
     """
@@ -40,7 +40,7 @@ class NodeValues:
     value: Floats
     noise: Floats
     place: Floats
-    slope: Floats
+    coefficients: Floats
     at: Floats
     count: NDArray[np.int64]
 
@@ -112,7 +112,7 @@ class CellSums:
             value=on_grid(np.einsum("nk,nkc->nc", there, found)),
             noise=on_grid(scatter * np.sqrt(from_noise.clip(min=0))[:, None]),
             place=on_grid(place),
-            slope=on_grid(found[:, 1:4].transpose(0, 2, 1) / grid.step_deg),
+            coefficients=on_grid(found),
             at=np.nan_to_num(on_grid(at)),
             count=count,
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,8 +15,10 @@ from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.errors import InputError
 
+LEAN_DEG = 0.1
+"""By which a lamp is turned to see what that does."""
 LAMP_STD_DEG = 0.5
-"""Of a far lamp's direction from one chrome ball of some hundred pixels, unless stated."""
+"""Of a lamp's direction, where neither the lights file nor the person states one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,12 +30,28 @@ class Lamp:
         position: `[3]` of a near lamp, else None.
         rgb: `[3]` relative irradiance at the sample's middle, as the lights file knows it.
         std_deg: standard deviation of its direction, in each of two directions across it.
+        across: `[2, 3]` these directions: two lamps that are one have the same error along them.
+        number: in the lights file, from 0.
     """
 
     direction: Floats
     position: Floats | None
     rgb: Floats
     std_deg: float
+    across: Floats
+    number: int = 0
+
+    def turned(self, lean_deg: Floats, middle: Floats) -> Lamp:
+        """The lamp turned about the sample's middle by small angles `[2]` along `across`."""
+        lean = np.radians(lean_deg) @ self.across
+        position = self.position
+        if position is not None:
+            away = position - middle
+            distance = np.linalg.norm(away)
+            away = away / distance + lean
+            position = middle + distance * away / np.linalg.norm(away)
+        direction = self.direction + lean
+        return replace(self, direction=direction / np.linalg.norm(direction), position=position)
 
     def at(self, points: Floats, middle: Floats) -> tuple[Floats, Floats]:
         """Unit directions `[P, 3]` from points to the lamp, and the irradiance `[P]` on a plane
@@ -75,12 +93,12 @@ def lamps_of_shots(
                 else "find them with `raden capture lights --camera`"
             )
         )
-    std_deg = LAMP_STD_DEG if setup.lamp_std_deg is None else setup.lamp_std_deg
     found = []
     for shot in shots:
         k = shot.lamp
         rgb = lamps.intensity[k] * (np.ones(3) if lamps.tint is None else lamps.tint[k])
         direction = lamps.direction[k]
+        across = directions_across(direction)
         position = None if lamps.position is None else lamps.position[k]
         if seen_in is not None:
             if shot.pose is None:
@@ -89,14 +107,25 @@ def lamps_of_shots(
                     "beside the board each photograph needs one"
                 )
             direction = _moved(direction, seen_in, shot.pose, point=False)
+            across = _moved(across, seen_in, shot.pose, point=False)
             position = None if position is None else _moved(position, seen_in, shot.pose)
-        found.append(Lamp(direction, position, rgb, std_deg))
+        std_deg = setup.lamp_std_deg
+        if std_deg is None:
+            std_deg = LAMP_STD_DEG if lamps.std_deg is None else float(lamps.std_deg[k])
+        found.append(Lamp(direction, position, rgb, std_deg, across, k))
     return found
+
+
+def directions_across(direction: Floats) -> Floats:
+    """`[2, 3]` unit vectors across a direction and each other."""
+    first = np.cross(direction, np.eye(3)[int(np.argmin(abs(direction)))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
 
 
 def _moved(vector: Floats, before: Pose, after: Pose, *, point: bool = True) -> Floats:
     """From the camera's frame at one pose of the board to that at another, y up, mm."""
     shift = MM * before.translation_m if point else np.zeros(3)
-    on_board = before.rotation.T @ (vector * Y_UP - shift)
+    on_board = (vector * Y_UP - shift) @ before.rotation
     back = MM * after.translation_m if point else np.zeros(3)
-    return np.asarray((after.rotation @ on_board + back) * Y_UP)
+    return np.asarray((on_board @ after.rotation.T + back) * Y_UP)

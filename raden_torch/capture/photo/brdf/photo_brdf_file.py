@@ -64,6 +64,8 @@ def write_brdf(found: CapturedBrdf, report: Path) -> None:
                 "white_rgb": np.round(scale.rgb[k], 7),
                 "brighter_than_the_others_percent": _percent(found.agreement.brighter[k]),
                 "chi2": _rounded(found.agreement.chi2[k]),
+                "lamp_std_deg": _rounded(found.lamps[k].std_deg),
+                "lamp_seems_off_deg": _rounded(found.places.offset_deg[k]),
             }
             for k, shot in enumerate(found.shots)
         ],

@@ -56,13 +56,13 @@ class FirstPass:
         kept: the chosen samples, relative to the white.
         scale: from camera signal to reflectance, for every shot.
         edges: of each shot, near the sample's outline; None where they are not clear.
-        shape: the sample's, in the frame of the first shot's camera.
+        shapes: the sample's, in the frame of each shot's camera.
     """
 
     kept: Reservoir
     scale: Scale
     edges: list[Edges | None]
-    shape: Shape
+    shapes: list[Shape]
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ def first_pass(
         whites.append(_white_in(view, series, white, factor))
         # the lamp's own intensity stands for the white, which is known when all were read
         for part in samples_in_cells(view.frame, view.seen, view.lamp, view.lamp.rgb, grid):
-            kept.add(part.cell, view.number, part.x, part.y)
+            kept.add(part.cell, view.number, part.x, part.y, part.pixel)
     if not len(kept.cell):
         raise InputError(
             f"{series.shots[0].files[0]} … {series.names[-1]}: no lit, unsaturated pixel of the "
@@ -136,7 +136,7 @@ def first_pass(
     scale = scale_of(whites, series.lamps, series.names)
     assumed = np.array([lamp.rgb for lamp in series.lamps])
     kept.y *= (assumed / scale.rgb)[kept.shot].astype(np.float32)
-    return FirstPass(kept, scale, edges, shapes[0])
+    return FirstPass(kept, scale, edges, shapes)
 
 
 def second_pass(

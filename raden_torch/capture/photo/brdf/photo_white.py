@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.brdf.lighting import Lamp
+from raden_torch.capture.photo.brdf.lighting import LEAN_DEG, Lamp
 from raden_torch.capture.photo.brdf.photo_angles import angles_deg
 from raden_torch.capture.photo.brdf.photo_series import Frame
 from raden_torch.capture.photo.brdf.rays import Rays
@@ -70,13 +70,21 @@ class WhiteReading:
         rgb: `[3]` its signal for θi = 0, at the irradiance of the sample's middle.
         std: `[3]` of `rgb`, relative: from how the signal varies over the white.
         xyz: `[3]` its reflectance factor at this lamp.
-        unevenness: relative standard deviation over its parts.
+        parts: `[8, 3]` the signal of its parts over `rgb`, less 1.
+        lean: `[2]` the share by which its irradiance grows as the lamp leans by a degree along each
+            of its two directions.
     """
 
     rgb: Floats
     std: Floats
     xyz: Floats
-    unevenness: float
+    parts: Floats
+    lean: Floats
+
+    @property
+    def unevenness(self) -> float:
+        """Relative standard deviation over its parts."""
+        return float(np.median(np.std(self.parts, axis=0, ddof=1)))
 
 
 def read_white(
@@ -101,9 +109,25 @@ def read_white(
     # blocks beside each other: noise averages out in them, shading and stains do not
     order = np.argsort(place.x_px[good] + 3 * place.y_px[good], kind="stable")
     blocks = [np.median(level[part], axis=0) for part in np.array_split(order, _BLOCKS)]
-    spread = np.std(blocks, axis=0, ddof=1) / rgb
+    parts = np.array(blocks) / rgb - 1
+    std = np.std(parts, axis=0, ddof=1) / np.sqrt(_BLOCKS)
     at = np.median(angles_deg(surface.normal[good], light[good], -rays.direction[good]), axis=0)
-    return WhiteReading(rgb, spread / np.sqrt(_BLOCKS), factor.at(at), float(np.median(spread)))
+    lean = _lean(
+        lamp, surface.point[good], place.plane.normal, middle, cosine[good] * falloff[good]
+    )
+    return WhiteReading(rgb, std, factor.at(at), parts, lean)
+
+
+def _lean(lamp: Lamp, point: Floats, normal: Floats, middle: Floats, light: Floats) -> Floats:
+    """`[2]`: by how much the light on the white grows, a degree that the lamp leans."""
+    found = []
+    for along in LEAN_DEG * np.eye(2):
+        there, back = (
+            ((way * normal).sum(1) * falloff / light).mean()
+            for way, falloff in (lamp.turned(s * along, middle).at(point, middle) for s in (1, -1))
+        )
+        found.append((there - back) / (2 * LEAN_DEG))
+    return np.array(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +136,10 @@ class Scale:
 
     Attributes:
         rgb: `[K, 3]` the white's signal for θi = 0 under each shot's lamp.
-        std: `[K, 3]` of it, relative.
+        std: `[K, 3]` of it, relative: each shot's own.
+        common_std: `[3]` of it, relative: what all shots share, as stains on the white are.
+        lean: `[K, 2]` by how much it grows as the lamp leans, a degree along each of its two
+            directions.
         xyz: `[3]` the white's reflectance factor that it stands for.
         measured: `[K]` the white was read in that shot; else its lamp's intensity was taken.
         notes: what a person should know.
@@ -120,6 +147,8 @@ class Scale:
 
     rgb: Floats
     std: Floats
+    common_std: Floats
+    lean: Floats
     xyz: Floats
     measured: NDArray[np.bool_]
     notes: tuple[str, ...]
@@ -156,9 +185,18 @@ def scale_of(
     # how well the intensities predict the white where both are known
     doubt = 1.4826 * np.median(abs(ratios / usual - 1), axis=0) if len(ratios) > 2 else 0.05
     rgb, std = expected * usual, np.broadcast_to(doubt, expected.shape).copy()
+    lean = np.zeros((len(readings), 2))
+    parts = np.array([reading.parts for reading in there])
+    common = parts.mean(axis=0)
+    own = np.sqrt(((parts - common) ** 2).sum(axis=1) / (_BLOCKS - 1) / _BLOCKS)
+    if len(there) > 1:  # the mean took its share of each shot's own
+        own *= np.sqrt(len(there) / (len(there) - 1))
+    row = iter(range(len(there)))
     for k, reading in enumerate(readings):
         if reading is not None:
-            rgb[k], std[k] = reading.rgb / reading.xyz * xyz, reading.std
+            rgb[k], std[k] = reading.rgb / reading.xyz * xyz, own[next(row)]
+            lean[k] = reading.lean
+    shared = np.std(common, axis=0, ddof=1) / np.sqrt(_BLOCKS)
     notes = []
     without = [name for name, there_ in zip(names, measured, strict=True) if not there_]
     if without:
@@ -176,7 +214,7 @@ def scale_of(
             f"the white is uneven in {_listed(uneven)}: a shadow on it, or another normal or "
             "distance than was given?"
         )
-    return Scale(rgb, std, xyz, measured, tuple(notes))
+    return Scale(rgb, std, shared, lean, xyz, measured, tuple(notes))
 
 
 def _listed(names: Sequence[str]) -> str:

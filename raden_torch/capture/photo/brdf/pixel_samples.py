@@ -27,18 +27,20 @@ class CellSamples:
         cell: `[n]`.
         x: `[n, 3]` place in the cell, in steps.
         y: `[n, 3]` camera RGB relative to the white in the same geometry.
+        pixel: `[n]` where in the photograph, counted row by row.
     """
 
     cell: Ints
     x: Floats32
     y: Floats32
+    pixel: Ints
 
 
 def samples(
     frame: Frame, seen: SeenSurface, lamp: Lamp, white_rgb: Floats
-) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """Tiles of lit and usable pixels: `[n, 3]` incidence, receiving and tilt in degrees, and
-    `[n, 3]` camera RGB relative to the white in the same geometry.
+) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32], Ints]]:
+    """Tiles of lit and usable pixels: `[n, 3]` incidence, receiving and tilt in degrees, `[n, 3]`
+    camera RGB relative to the white in the same geometry, and `[n]` pixels, counted row by row.
 
     f_r ∝ signal / (cos θi (d_middle/d)²), the white's signal being that for θi = 0 at the middle.
     """
@@ -54,13 +56,14 @@ def samples(
         angles = angles_deg(normal[good], light[good], seen.view[part][good])
         irradiance = cosine[good] * falloff[good]
         value = frame.radiance[y[good], x[good]] / (irradiance[:, None] * white_rgb)
-        yield angles, value.astype(np.float32)
+        pixel = y[good] * frame.size[1] + x[good]
+        yield angles, value.astype(np.float32), pixel
 
 
 def samples_in_cells(
     frame: Frame, seen: SeenSurface, lamp: Lamp, white_rgb: Floats, grid: CellGrid
 ) -> Iterator[CellSamples]:
     """The same tiles, as far as they lie in the grid."""
-    for angles, value in samples(frame, seen, lamp, white_rgb):
+    for angles, value, pixel in samples(frame, seen, lamp, white_rgb):
         rows, cell, x = grid.sort(angles)
-        yield CellSamples(cell, x, value[rows])
+        yield CellSamples(cell, x, value[rows], pixel[rows])

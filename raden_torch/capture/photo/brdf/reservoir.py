@@ -23,6 +23,7 @@ class Reservoir:
         shot: `[n]` which photograph each is from.
         x: `[n, 3]` place in the cell.
         y: `[n, 3]` value.
+        pixel: `[n]` where in its photograph, row by row.
     """
 
     size: int
@@ -30,6 +31,7 @@ class Reservoir:
     shot: NDArray[np.int32]
     x: Floats32
     y: Floats32
+    pixel: NDArray[np.int32]
     _key: NDArray[np.float64]
     _limit: Floats32
     _random: np.random.Generator
@@ -43,25 +45,27 @@ class Reservoir:
             shot=np.zeros(0, np.int32),
             x=np.zeros((0, 3), np.float32),
             y=np.zeros((0, 3), np.float32),
+            pixel=np.zeros(0, np.int32),
             _key=np.zeros(0),
             _limit=np.ones(cells, np.float32),
             _random=np.random.default_rng(seed),
         )
 
-    def add(self, cell: Ints, shot: int, x: Floats32, y: Floats32) -> None:
+    def add(self, cell: Ints, shot: int, x: Floats32, y: Floats32, pixel: Ints) -> None:
         key = self._random.random(len(cell), np.float32)
         wanted = np.flatnonzero(key < self._limit[cell])
         self.cell = np.concatenate([self.cell, cell[wanted]])
         self.shot = np.concatenate([self.shot, np.full(len(wanted), shot, np.int32)])
         self.x = np.concatenate([self.x, x[wanted]])
         self.y = np.concatenate([self.y, y[wanted]])
+        self.pixel = np.concatenate([self.pixel, pixel[wanted].astype(np.int32)])
         self._key = np.concatenate([self._key, cell[wanted] + key[wanted].astype(np.float64)])
         order = np.argsort(self._key)
         rank = rank_in_group(self.cell[order])
         kept = order[rank < self.size]
         last = order[rank == self.size - 1]
         self._limit[self.cell[last]] = (self._key[last] - self.cell[last]).astype(np.float32)
-        for name in ("cell", "shot", "x", "y", "_key"):
+        for name in ("cell", "shot", "x", "y", "pixel", "_key"):
             setattr(self, name, getattr(self, name)[kept])
 
 

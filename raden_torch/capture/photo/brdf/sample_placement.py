@@ -21,14 +21,19 @@ from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.errors import InputError
 
+_STRAIGHT_EDGE_PX = 0.3
+"""Of a mask's straight edge, which may run along a row of pixels: 1/√12 of one."""
+
 
 @dataclass(frozen=True, eq=False)
 class SampleInPhotograph:
-    """The sample in one photograph: its shape, and `[P]` columns and rows of its pixels."""
+    """The sample in one photograph: its shape, `[P]` columns and rows of its pixels, and the
+    standard deviation of the outline that the shape was found by (0: by the board)."""
 
     shape: Shape
     x_px: NDArray[np.intp]
     y_px: NDArray[np.intp]
+    outline_px: float = 0.0
 
 
 def place_sample(
@@ -53,6 +58,7 @@ def place_sample(
     """
     mask = None if spec.mask is None else read_mask(spec.mask, size)
     shape: Shape
+    outline_px = 0.0
     if spec.shape == "plane":
         shape, inside = _plane(spec, camera, pose, size, mask, name)
     elif camera is not None and spec.radius_mm is None:
@@ -60,7 +66,7 @@ def place_sample(
             f"{spec.shape}: expected its radius in mm, since a camera is given, got none"
         )
     elif spec.shape == "sphere":
-        shape, inside = _sphere(spec, camera, size, mask, pictures, name)
+        shape, inside, outline_px = _sphere(spec, camera, size, mask, pictures, name)
     else:
         assert mask is not None
         if spec.axis_m is not None:
@@ -68,13 +74,14 @@ def place_sample(
             shape = rod_on_board(spec.axis_m, spec.radius_mm, pose, camera, name)
         else:
             shape = rod_from_mask(mask, camera, spec.radius_mm, str(spec.mask))
+            outline_px = _STRAIGHT_EDGE_PX
         inside = mask > 0.5
     y, x = np.nonzero(eroded(inside))
     normal = shape.seen(rays_through(camera, x, y)).normal
     hit = np.isfinite(normal).all(axis=1)
     if not hit.any():
         raise InputError(f"{name}: no pixel shows the sample; is it in the picture?")
-    return SampleInPhotograph(shape, x[hit], y[hit])
+    return SampleInPhotograph(shape, x[hit], y[hit], outline_px)
 
 
 def _plane(
@@ -110,7 +117,7 @@ def _sphere(
     mask: NDArray[Any] | None,
     pictures: Iterable[NDArray[Any]],
     name: str,
-) -> tuple[Shape, Bools]:
+) -> tuple[Shape, Bools, float]:
     matrix = None if camera is None else camera.matrix
     radius = 1.0 if spec.radius_mm is None else spec.radius_mm
     if mask is not None:
@@ -126,7 +133,8 @@ def _sphere(
     hit = np.isfinite(sphere.seen(rays_through(camera, x, y)).normal).all(axis=1)
     inside = np.zeros(size, bool)
     inside[y[hit], x[hit]] = True
-    return sphere, inside if mask is None else inside & (mask > 0.5)
+    inside = inside if mask is None else inside & (mask > 0.5)
+    return sphere, inside, ball.std_px
 
 
 def _straight(image: NDArray[Any], camera: Camera | None) -> NDArray[Any]:

@@ -20,8 +20,6 @@ from raden_torch.capture.photo.camera import Camera
 LEAST_COSINE = 0.09
 """Of the lamp's and the view's angle with the normal: about 85 degrees. Beyond, the irradiance and
 the place of the pixel are as good as unknown."""
-_OUTLINE_PX = 0.3
-"""How well an outline is known where it is a mask's: its normals hang on it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +31,7 @@ class SeenSurface:
         x_px, y_px: `[P]` columns and rows.
         surface: points and normals.
         view: `[P, 3]` unit directions to the viewer.
+        outline_px: standard deviation of the outline that the shape was found by.
     """
 
     shape: Shape
@@ -40,6 +39,7 @@ class SeenSurface:
     y_px: NDArray[np.intp]
     surface: Surface
     view: Floats
+    outline_px: float
 
     @property
     def middle(self) -> Floats:
@@ -59,6 +59,7 @@ def seen_surface(placed: SampleInPhotograph, camera: Camera | None) -> SeenSurfa
         placed.y_px[good],
         Surface(surface.point[good], surface.normal[good]),
         -rays.direction[good],
+        placed.outline_px,
     )
 
 
@@ -91,13 +92,20 @@ def seen_surfaces(
         yield seen
 
 
-def normal_std_deg(fixed: SeenSurface | None) -> float:
-    """Of the normals, where they hang on an outline: that over the radius in the picture. On the
-    board they do not."""
+def outline_std_px(fixed: SeenSurface | None, stated: float | None) -> float:
+    """Of the outline that the sample's shape hangs on: as stated, or as its edge tells. On the
+    board nothing hangs on it."""
+    if fixed is None:
+        return 0.0
+    return fixed.outline_px if stated is None else stated
+
+
+def normal_std_deg(fixed: SeenSurface | None, outline_px: float) -> float:
+    """Of the normals, by the outline's standard deviation over its radius in the picture."""
     if fixed is None:
         return 0.0
     across = min(np.ptp(fixed.x_px), np.ptp(fixed.y_px)) / 2
-    return float(np.degrees(_OUTLINE_PX / max(across, 1.0)))
+    return float(np.degrees(outline_px / max(across, 1.0)))
 
 
 def _seen_in(series: PhotoSeries, sample: SampleSpec, shot: Shot) -> SeenSurface:

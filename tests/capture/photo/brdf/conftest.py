@@ -60,6 +60,15 @@ def lamp_triples(*away_deg: float) -> Array:
     return np.stack([np.sin(away) * np.cos(turn), np.sin(away) * np.sin(turn), np.cos(away)], 1)
 
 
+def anywhere(lamps: Array, seed: int, by_deg: float = 2.5) -> Array:
+    """Lamps moved by up to so much away from the camera's axis, and turned about it: where they
+    stand on no node of the grid, as in no laboratory."""
+    random = np.random.default_rng([seed, 2])
+    away = np.arccos(lamps[:, 2]) + np.radians(random.uniform(-by_deg, by_deg, len(lamps)))
+    turn = np.arctan2(lamps[:, 1], lamps[:, 0]) + random.uniform(0, 2 * np.pi)
+    return np.stack([np.sin(away) * np.cos(turn), np.sin(away) * np.sin(turn), np.cos(away)], 1)
+
+
 @dataclass
 class Series:
     """Simulated photographs in a folder, with the files of the earlier steps."""
@@ -110,6 +119,8 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
         sample_only: dict[int, float] | None = None,
         wrong_lamp: dict[int, float] | None = None,
         lamp_error_deg: float = 0.0,
+        outline_error_px: float = 0.0,
+        stains: float = 0.0,
         seed: int = 0,
         name: str = "s",
     ) -> Series:
@@ -120,6 +131,9 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
         size = side, side + 80
         centre = np.array([side / 2 + 0.3, side / 2 - 0.2])
         y, x = np.mgrid[: size[0], : size[1]].astype(float)
+        # of the white, by patches of a twelfth of it: the same in all photographs
+        patches = np.random.default_rng([seed, 1]).normal(size=(12, 12))
+        spots = cv2.resize(patches, size[::-1], interpolation=cv2.INTER_NEAREST)
         direction = lamp_ring(count) if lamps is None else lamps
         count = len(direction)
         power = np.ones(count) if power is None else power
@@ -153,6 +167,7 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
                 if normal is not None:
                     f = brdf(n, to, view) * (sample_only or {}).get(k, 1.0)
                 linear[where] = np.pi * f * lit[:, None] * exposure
+            linear[card] *= 1 + stains * spots[card][:, None]
             linear = cv2.GaussianBlur(linear, (0, 0), 0.5)
             linear = linear + noise * np.sqrt(linear + 0.01) * random.normal(size=linear.shape)
             if outliers:
@@ -167,7 +182,8 @@ def sphere_series(tmp_path: Path) -> Callable[..., Series]:
             said[k] = np.array([[c, -d, 0], [d, c, 0], [0, 0, 1]]) @ said[k]
         reach = None if position is None else middle + near * radius * said
         write_lights(folder / "lights.json", said, power / power.mean(), reach)
-        on = np.hypot(x - centre[0], y - centre[1]) < radius
+        off = outline_error_px * random.normal(size=3)
+        on = np.hypot(x - centre[0] - off[0], y - centre[1] - off[1]) < radius + off[2]
         cv2.imwrite(str(folder / "mask.png"), 255 * on.astype(np.uint8))
         card = (x > side + 10) & (y > 20) & (y < side - 20)
         cv2.imwrite(str(folder / "white.png"), 255 * card.astype(np.uint8))

@@ -8,33 +8,50 @@ from typing import Any
 import numpy as np
 import pytest
 
-from raden_torch.capture.photo.brdf.photo_budget import direction_slopes
+from raden_torch.capture.photo.brdf.lighting import Lamp, directions_across
+from raden_torch.capture.photo.brdf.outline_errors import moved_shapes
+from raden_torch.capture.photo.brdf.photo_angles import angles_deg
+from raden_torch.capture.photo.brdf.rays import rays_through
+from raden_torch.capture.photo.brdf.sample_moves import ShotSamples
+from raden_torch.capture.photo.brdf.sample_shapes import Cylinder, Sphere
 from raden_torch.capture.photo.capture_brdf import capture_brdf
 from raden_torch.reflectance.regions import regions
+from tests.capture.photo.brdf.conftest import anywhere, lamp_triples
+
+CASES = {
+    "noise": {"noise": 0.01},
+    "near lamps that lean": {"lamp_error_deg": 0.5, "near": 6.0},
+    "three lamps that lean": {"lamp_error_deg": 0.5},
+}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("noise", "lean_deg"), [(0.01, 0.0), (0.002, 0.5)], ids=["noise", "lamps"])
-def test_repeats_scatter_by_the_stated_deviation(
-    sphere: Any, noise: float, lean_deg: float
-) -> None:
-    """Six series with noise, or lamps that lean by half a degree at random. 50 of them are in
-    docs/brdf_from_photographs.md."""
+@pytest.mark.parametrize("case", CASES)
+def test_repeats_scatter_by_the_stated_deviation(sphere: Any, case: str) -> None:
+    """Rationale: a standard deviation is right where errors against the truth are as large, in each
+    region. Five series each, whose lamps stand on no node of the grid and whose mask is drawn 0.1
+    px off; 50 of them are in docs/brdf_from_photographs.md."""
+    options = {"noise": 0.002} | CASES[case]
+    lamps = lamp_triples(25, 60)[[0, 2, 4]] if "three" in case else sphere.triples
     values, deviations = [], []
-    for seed in range(6):
+    for seed in range(5):
+        placed = anywhere(lamps, seed)
         series = sphere.series(
-            lamps=sphere.triples, radius=60.0, noise=noise, lamp_error_deg=lean_deg, seed=seed
+            lamps=placed, radius=60.0, outline_error_px=0.1, seed=seed, **options
         )
         arguments = sphere.arguments(series)
-        arguments["setup"] = replace(arguments["setup"], lamp_std_deg=max(lean_deg, 1e-3))
-        found = capture_brdf(**arguments, go_on=True)
+        lean = max(options.get("lamp_error_deg", 0.0), 1e-3)
+        arguments["setup"] = replace(arguments["setup"], lamp_std_deg=lean)
+        found = capture_brdf(**arguments)
         values.append(found.measurement.values)
         deviations.append(found.measurement.std)
     z = (np.array(values) - sphere.truth()) / np.array(deviations)
-    for name in ("ridge", "body", "grazing"):
-        where = regions(found.measurement.angles_deg)[name] & np.isfinite(z).all(axis=(0, 2))
-        assert where.sum() > 50
-        assert 0.5 < np.sqrt(np.mean(z[:, where] ** 2)) < 1.2, name
+    for name, where in regions(found.measurement.angles_deg).items():
+        known = z[:, where][np.isfinite(z[:, where])]
+        if len(known) < 300:
+            continue
+        assert 0.7 < np.sqrt(np.mean(known**2)) < 1.4, name
+        assert np.mean(abs(known) < 2) > 0.87, name
 
 
 def test_the_terms_add_up_and_the_scale_is_not_in_them(sphere: Any) -> None:
@@ -54,11 +71,61 @@ def test_the_terms_add_up_and_the_scale_is_not_in_them(sphere: Any) -> None:
     assert (terms["colour"][m.valid] == 0).all()  # without a colour file
 
 
+def seen_by(shape: Sphere, lamp: Lamp, pixels: np.ndarray) -> ShotSamples:
+    """Samples at pixels `[n, 2]`, as a far camera sees them."""
+    rays = rays_through(None, *pixels.T)
+    surface = shape.seen(rays)
+    light, falloff = lamp.at(surface.point, shape.middle)
+    irradiance = (light * surface.normal).sum(1) * falloff
+    angles = angles_deg(surface.normal, light, -rays.direction)
+    sign = np.ones((len(pixels), 1), np.float32)
+    return ShotSamples(0, np.arange(len(pixels)), rays, shape, lamp, angles, irradiance, sign)
+
+
+PIXELS = np.random.default_rng(0).uniform([55, 45], [105, 95], (200, 2))
+BALL = Sphere(np.array([80.0, -70.0, 0.0]), 50.0)
+
+
 def test_a_lean_of_the_lamp_on_a_matt_sphere() -> None:
-    """R is constant; what is divided by the wrong cosine is off by tan a a radian."""
-    nodes = np.array([[45.0, 0.0, 0.0], [0.0, 30.0, 0.0], [60.0, 0.0, 30.0]])
-    slopes = direction_slopes(np.full((3, 3), 50.0), np.zeros((3, 3, 3)), nodes)
-    wanted = np.radians(50.0) * np.hypot(
-        np.tan(np.radians([45, 0, 60])), np.tan(np.radians([0, 0, 30]))
-    )
-    np.testing.assert_allclose(slopes[:, 0], wanted, rtol=1e-6)
+    """R is constant; what is divided by the wrong cosine is off by (N·e / N·L) a radian."""
+    way = np.array([0.5, 0.2, 0.8]) / np.sqrt(0.93)
+    lamp = Lamp(way, None, np.ones(3), 0.1, directions_across(way))
+    part = seen_by(BALL, lamp, PIXELS)
+    normal = BALL.seen(part.rays).normal
+    matt = np.zeros((len(PIXELS), 10, 3))
+    matt[:, 0] = 0.5
+    for moves, across in zip(part.leans(5.0), lamp.across, strict=True):
+        wanted = 0.5 * np.radians(normal @ across / (normal @ way))
+        change = moves.change(matt, np.zeros((len(PIXELS), 3), np.float32))
+        np.testing.assert_allclose(change, np.repeat(wanted[:, None], 3, 1), atol=2e-6)
+
+
+def test_a_lean_in_the_plane_of_incidence_is_one_of_the_incidence() -> None:
+    """At the sphere's middle, where the viewer is the normal: a follows the lamp, r does not."""
+    way = np.array([np.sin(0.5), 0.0, np.cos(0.5)])
+    lamp = Lamp(way, None, np.ones(3), 0.1, np.array([[np.cos(0.5), 0, -np.sin(0.5)], [0, 1, 0]]))
+    part = seen_by(BALL, lamp, np.array([[80.0, 70.0]]))
+    along, across = part.leans(5.0)
+    np.testing.assert_allclose(along.place[0], [0.2, 0, 0], atol=1e-4)  # steps of 5 degrees
+    np.testing.assert_allclose(across.place[0], 0, atol=1e-3)
+    np.testing.assert_allclose(along.light[0], -np.radians(np.tan(0.5)), rtol=1e-3)
+
+
+def test_an_outline_that_is_off_turns_the_normals() -> None:
+    """A pixel to the side turns them by 1/50 there where they face the viewer; a radius that is
+    larger turns those at the side by more."""
+    far = moved_shapes(BALL, None, 0.2)
+    rays = rays_through(None, np.array([80.0, 110.0]), np.array([70.0, 70.0]))
+    before = BALL.seen(rays).normal
+    right, up, large = (shape.seen(rays).normal - before for shape in far)
+    np.testing.assert_allclose(right[0], [-0.2 / 50, 0, 0], atol=1e-4)
+    np.testing.assert_allclose(up[0], [0, -0.2 / 50, 0], atol=1e-4)
+    np.testing.assert_allclose(large[:, 0], [0, -0.2 * 30 / 50**2], atol=1e-4)
+    assert moved_shapes(BALL, None, 0.0) == []
+    rod = Cylinder(np.array([0.0, 0.0, 0.0]), np.array([1.0, 0, 0]), 20.0, (0.0, 100.0))
+    moved = moved_shapes(rod, None, 0.3)
+    assert len(moved) == 3
+    for shape in moved:
+        assert isinstance(shape, Cylinder)
+        assert np.linalg.norm(shape.axis) == pytest.approx(1)
+        assert abs(shape.middle - rod.middle).max() == pytest.approx(0.3 / np.sqrt(2), abs=0.22)

@@ -62,7 +62,7 @@ def test_a_reservoir_is_bounded_and_fair() -> None:
     for batch in range(50):
         cell = np.repeat(np.arange(3), [400, 40, 1])
         y = np.full((len(cell), 3), batch, np.float32)
-        kept.add(cell, batch, np.zeros((len(cell), 3), np.float32), y)
+        kept.add(cell, batch, np.zeros((len(cell), 3), np.float32), y, cell + 7 * batch)
     counts = np.bincount(kept.cell, minlength=4)
     assert counts.tolist() == [kept.size, kept.size, 50, 0]
     assert (np.diff(kept.cell) >= 0).all()
@@ -70,6 +70,7 @@ def test_a_reservoir_is_bounded_and_fair() -> None:
         batches = kept.y[kept.cell == cell, 0]
         assert 18 < batches.mean() < 31  # 24.5 ± 1.5 by chance
     np.testing.assert_array_equal(kept.shot, kept.y[:, 0])
+    np.testing.assert_array_equal(kept.pixel, kept.cell + 7 * kept.shot)
 
 
 def fitted(x: np.ndarray, y: np.ndarray, neighbour: float = 2.0):
@@ -78,8 +79,8 @@ def fitted(x: np.ndarray, y: np.ndarray, neighbour: float = 2.0):
     cell = grid.cells // 2
     kept = Reservoir.of(grid.cells)
     other = np.repeat(np.float32(neighbour), 30)[:, None] * np.ones(3, np.float32)
-    kept.add(np.full(len(x), cell), 0, x, y)
-    kept.add(np.full(30, cell + 1), 0, np.zeros((30, 3), np.float32), other)
+    kept.add(np.full(len(x), cell), 0, x, y, np.arange(len(x)))
+    kept.add(np.full(30, cell + 1), 0, np.zeros((30, 3), np.float32), other, np.arange(30))
     fit = robust_fit(kept, grid)
     sums = CellSums(fit)
     sums.add(np.full(len(x), cell), x, y)

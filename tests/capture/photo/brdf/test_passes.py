@@ -13,7 +13,7 @@ from PIL import Image
 
 from raden_torch.capture.photo.brdf.photo_passes import photo_views
 from raden_torch.capture.photo.brdf.photo_series import read_series
-from raden_torch.capture.photo.brdf.seen_surface import fixed_surface, normal_std_deg
+from raden_torch.capture.photo.brdf.seen_surface import fixed_surface, outline_std_px
 from raden_torch.capture.photo.capture_brdf import capture_brdf
 from raden_torch.capture.photo.development import Development
 from raden_torch.errors import InputError
@@ -35,7 +35,7 @@ def test_two_photographs_at_most_are_in_memory(sphere: Any) -> None:
         assert view.shot is photos.shots[view.number]
         numbers.append(view.number)
     assert numbers == list(range(6))
-    assert normal_std_deg(fixed) > 0
+    assert outline_std_px(fixed, None) > 0
 
 
 def test_a_sample_on_the_board_is_seen_anew_from_each_place(board: Any) -> None:
@@ -54,7 +54,7 @@ def test_a_sample_on_the_board_is_seen_anew_from_each_place(board: Any) -> None:
         np.testing.assert_allclose(on_board[:, 2], 0, atol=1e-9)
         middles.append(view.seen.middle)
     assert np.ptp(middles, axis=0).max() > 1
-    assert normal_std_deg(None) == 0
+    assert outline_std_px(None, None) == 0
 
 
 def test_progress_goes_from_one_photograph_to_the_next_twice(sphere: Any) -> None:
