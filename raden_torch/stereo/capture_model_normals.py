@@ -26,7 +26,14 @@ from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.stereo.alternating import alternate
 from raden_torch.stereo.lamp_assignment import check_order, refuse
 from raden_torch.stereo.photographed import Photographed
-from raden_torch.stereo.solve import ModelNormals, joined, learnt, residuals, solve_by_model
+from raden_torch.stereo.solve import (
+    Known,
+    ModelNormals,
+    joined,
+    learnt,
+    residuals,
+    solve_by_model,
+)
 
 
 @dataclass(frozen=True)
@@ -83,9 +90,10 @@ def capture_model_normals(
     correction = None if options.colour is None else read_colour(options.colour)
     seen = Photographed.of(given, correction)
     notes: list[str] = []
+    some = None
     if materials is None:
         learned = alternate(seen.sample, progress=lambda share: done(0.2 + 0.3 * share))
-        materials = [learned.material]
+        materials, some = [learned.material], learned.found
         if not learned.has_settled:
             notes.append(
                 f"normals and material have not settled: they still move by "
@@ -100,11 +108,12 @@ def capture_model_normals(
         seen = seen.balanced(materials)
     light = seen.sample
     known = learnt(materials, light)
-    some = solve_by_model(materials, light, known=known)
+    if some is None:
+        some = solve_by_model(materials, light, known=known)
     wrong = check_order(materials, light, some, photographs)
     if wrong is not None and not options.keep_order:
         raise refuse(wrong, photographs[0])
-    found = solved(seen, materials, lambda share: done(0.5 + 0.5 * share))
+    found = solved(seen, materials, known, lambda share: done(0.5 + 0.5 * share))
     _, off = residuals(materials, light, some)
     residual = torch.nanmedian(off, dim=1).values
     notes += [*([wrong] if wrong else []), *odd_lamps(residual, photographs)]
@@ -120,10 +129,12 @@ def members(model: Reflection) -> list[Reflection]:
 
 
 def solved(
-    seen: Photographed, materials: Sequence[Reflection], progress: Callable[[float], None]
+    seen: Photographed,
+    materials: Sequence[Reflection],
+    known: Known,
+    progress: Callable[[float], None],
 ) -> ModelNormals:
     """All pixels of the object, in the order of `seen.index`, some at a time."""
-    known = learnt(materials, seen.sample)
     parts, found = seen.parts(), []
     for k, index in enumerate(parts):
 

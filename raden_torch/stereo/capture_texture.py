@@ -21,9 +21,10 @@ from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 from raden_torch.stereo.inlay import Inlay, find_inlay
 from raden_torch.stereo.lamp_assignment import check_order, refuse
+from raden_torch.stereo.observed_light import thinned
 from raden_torch.stereo.photographed import Photographed
 from raden_torch.stereo.pieces import pieces_of
-from raden_torch.stereo.solve import ModelNormals, residuals
+from raden_torch.stereo.solve import SAMPLE, ModelNormals, residuals
 
 _UNEVEN_DEG = 2.0
 """Layers that vary by more within a piece are seen as such."""
@@ -203,7 +204,7 @@ def _judged(
 ) -> tuple[Tensor, str | None]:
     """How far each photograph is from what was found, `[K]`; whether another order fits."""
     there = (inlay.material > 0).nonzero()[:, 0]
-    index = there[:: max(1, len(there) >> 12)]
+    index = thinned(there, SAMPLE)
     light = replace(seen.at(index), surface=surface[:, index])
     gain = inlay.gain[:, index].mean(0) * inlay.exposure
     zero = torch.zeros(len(index))

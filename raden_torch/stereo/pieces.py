@@ -36,7 +36,7 @@ def pieces_of(
     else:
         index = _read_map(path, given.photos.size, shells)
     index = np.where(given.mask > 0.5, index, 0)
-    pieces, shell = np.zeros(index.shape, np.int32), []
+    pieces = np.zeros(index.shape, np.int32)
     sizes: list[tuple[int, int, int]] = []
     labels = {}
     for value in range(1, int(index.max(initial=0)) + 1):
@@ -51,10 +51,12 @@ def pieces_of(
             f"{path or 'photographs'}: expected at least one piece of "
             f"{smallest_px} pixels within the mask, got none"
         )
-    for number, (_, value, k) in enumerate(kept):
-        pieces[labels[value] == k] = number + 1
-        shell.append(value - 1)
-    return pieces, None if path is None else np.array(shell)
+    numbers = {value: np.zeros(labelled.max() + 1, np.int32) for value, labelled in labels.items()}
+    for number, (_, value, k) in enumerate(kept, 1):
+        numbers[value][k] = number
+    for value, labelled in labels.items():
+        pieces += numbers[value][labelled]
+    return pieces, None if path is None else np.array([value - 1 for _, value, _ in kept])
 
 
 def _read_map(path: Path, size: tuple[int, int], shells: int) -> NDArray[np.int64]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,14 @@ class LitSet:
     def intensity(self) -> Tensor:
         """`[K]`"""
         return torch.from_numpy(self.lamps.intensity).float()
+
+    @cached_property
+    def view(self) -> Tensor:
+        """`[3, H·W]` unit vectors to the camera; `[3, 1]` where it is far away."""
+        if self.lamps.matrix is None:
+            return torch.tensor([[0.0], [0.0], [1.0]])
+        through = torch.from_numpy(self.lamps.plane(self.photos.size, -1.0)).float().flatten(1)
+        return -through / through.norm(dim=0)
 
 
 def read_lit_set(
