@@ -14,26 +14,14 @@ from torch import Tensor
 from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.capture.photo.capture_normals import (
-    FoundNormals,
-    LitSet,
-    odd_lamps,
-    read_lit_set,
-)
+from raden_torch.capture.photo.capture_normals import FoundNormals, LitSet, read_lit_set
 from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
 from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.stereo.alternating import alternate
-from raden_torch.stereo.lamp_assignment import check_order, refuse
+from raden_torch.stereo.lamp_assignment import agreement
 from raden_torch.stereo.photographed import Photographed
-from raden_torch.stereo.solve import (
-    Known,
-    ModelNormals,
-    joined,
-    learnt,
-    residuals,
-    solve_by_model,
-)
+from raden_torch.stereo.solve import Known, ModelNormals, joined, learnt, solve_by_model
 
 
 @dataclass(frozen=True)
@@ -110,13 +98,9 @@ def capture_model_normals(
     known = learnt(materials, light)
     if some is None:
         some = solve_by_model(materials, light, known=known)
-    wrong = check_order(materials, light, some, photographs)
-    if wrong is not None and not options.keep_order:
-        raise refuse(wrong, photographs[0])
+    residual, odd = agreement(materials, light, some, photographs, keep_order=options.keep_order)
+    notes += odd
     found = solved(seen, materials, known, lambda share: done(0.5 + 0.5 * share))
-    _, off = residuals(materials, light, some)
-    residual = torch.nanmedian(off, dim=1).values
-    notes += [*([wrong] if wrong else []), *odd_lamps(residual, photographs)]
     for note in notes:
         warnings.warn(note, stacklevel=2)
     surface = as_maps(seen, found, residual)

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.brdf.files.material_map import stored_indices
 from raden_torch.capture.photo.capture_normals import LitSet
 from raden_torch.capture.photo.segmentation import segment
 from raden_torch.errors import InputError
-from raden_torch.images.pixels import read_pixels
 
 _FEWEST_PX = 4
 
@@ -60,13 +60,7 @@ def pieces_of(
 
 
 def _read_map(path: Path, size: tuple[int, int], shells: int) -> NDArray[np.int64]:
-    pixels = read_pixels(path, colour=False)
-    if pixels.ndim == 3 and (pixels == pixels[..., :1]).all():
-        pixels = pixels[..., 0]
-    if pixels.ndim != 2 or pixels.dtype not in (np.uint8, np.uint16):
-        raise InputError(
-            f"{path}: expected a map of one channel of 8 or 16 bits, whose values are indices"
-        )
+    pixels = stored_indices(path).numpy()
     if pixels.shape != size:
         raise InputError(
             f"{path}: expected the photographs' {size[1]} x {size[0]} pixels, got "

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.capture.photo.photometric_stereo import FULL_CONFIDENCE_DEG
+from raden_torch.capture.photo.photometric_stereo import confidence_of
 from raden_torch.capture.photo.tile_threads import in_threads
 from raden_torch.stereo.normal_refine import Refined, refine
 from raden_torch.stereo.normal_search import search
@@ -80,7 +80,7 @@ class ModelNormals:
     @property
     def confidence(self) -> Tensor:
         """`[P]`, as that of `SurfaceNormals`."""
-        return 1 / (1 + (self.error_deg / FULL_CONFIDENCE_DEG) ** 2)
+        return confidence_of(self.error_deg)
 
 
 @torch.no_grad()

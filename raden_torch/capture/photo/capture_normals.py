@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.capture.photo.lambert_fit import Method
-from raden_torch.capture.photo.lamp_order import OrderCheck, check_order
+from raden_torch.capture.photo.lamp_order import OrderCheck, check_order, under_lamps
 from raden_torch.capture.photo.lamps import Lamps, read_lamps
 from raden_torch.capture.photo.lights_check import check_lights
 from raden_torch.capture.photo.photo_set import (
@@ -189,16 +189,13 @@ def _checked_order(given: LitSet, keep_order: bool) -> OrderCheck | None:
     )
     if order is None or not order.uncertain:
         return order
-    moved = order.moved()
-    shown = ", ".join(
-        f"{photos.paths[k].name} under lamp {order.order[k] + 1}" for k in moved[:4]
-    ) + (" …" if len(moved) > 4 else "")
     text = (
         f"the photographs seem to be in another order than the lamps: {100 * order.outside:.1f} % "
-        f"of the light fits no surface, {100 * order.best:.1f} % with {shown}"
+        f"of the light fits no surface, {100 * order.best:.1f} % with "
+        f"{under_lamps(order.order, photos.paths)}"
     )
     if order.doubtful and not keep_order:
-        raise InputError(f"{photos.paths[moved[0]]}: {text}; give them in the lamps' order")
+        raise InputError(f"{photos.paths[order.moved()[0]]}: {text}; give them in the lamps' order")
     warnings.warn(text, stacklevel=3)
     return order
 
