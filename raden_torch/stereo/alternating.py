@@ -39,7 +39,7 @@ class Alternated:
     """What was found.
 
     Attributes:
-        found: the normals of all pixels.
+        found: the normals of the pixels given.
         material: what was fitted; its scale is that of the photographs.
         moved_deg: how far the normals of the sample moved in each turn, in the median.
         cost: of a pixel in the median; `lambertian`: by the Lambertian law.
@@ -115,7 +115,7 @@ def fit_at(light: ObservedLight, normal: Tensor) -> RuntimeBrdf:
 
 
 _GRAZING = 0.05
-"""Below this cosine a reading is mostly noise."""
+"""Below this irradiance, the lamp's strength times the cosine, a reading is mostly noise."""
 
 
 def _with(material: RuntimeBrdf, light: ObservedLight) -> ModelNormals:

@@ -45,7 +45,7 @@ class TextureOptions:
         colour: of `raden capture colour`; without it the photographs have sRGB's primaries.
         per_pixel: each pixel keeps its own layer normal.
         gain: keep the factor on the palette's reflection, pixel by pixel.
-        smallest_px: an area of fewer pixels is no piece.
+        smallest_px: an area of fewer pixels is no piece, nor is one of fewer than 4.
         exponent, keep_order, coded: as for `capture_normals`.
     """
 
@@ -73,7 +73,8 @@ class FoundInlay:
 
     Attributes:
         palette: the ground and the shells.
-        surface: `[3, H·W]`; `residual`: `[K]`, of each photograph over its mean light.
+        surface: `[3, H·W]`; `residual`: `[K]`, how far each photograph is from what was found, in
+            the median over pixels, each relative to its mean light over all lamps.
     """
 
     inlay: Inlay

@@ -56,7 +56,8 @@ class Inlay:
     Attributes:
         material: `[H·W]` of the palette.
         layer_normal: `[3, H·W]`, the surface's where there is no shell.
-        gain: `[C, H·W]`, the factor on what the palette reflects, 1 in the mean.
+        gain: `[C, H·W]`, the factor on what the palette reflects, 1 in the median over the shells'
+            pixels; no less than 0.2, no more than 5, and 1 where there is no shell.
         error_deg: `[H·W]` of the layers' normal.
         exposure: the photographs' value for a radiance of 1.
         pieces: by falling area.
@@ -188,8 +189,7 @@ def _gains(
     layers: Tensor,
     surface: Tensor,
 ) -> tuple[Tensor, float]:
-    """`[C, H·W]` photographs over what the palette shows, 1 in the median and where it is dark;
-    and the exposure."""
+    """`Inlay.gain` and `Inlay.exposure`: photographs over what the palette shows."""
     gain = torch.ones(len(seen.balance), len(material))
     for place, shell in enumerate(shells):
         for index in (material == place + 1).nonzero()[:, 0].split(1 << 15):

@@ -13,6 +13,7 @@ from raden_torch.capture.photo.segmentation import segment
 from raden_torch.errors import InputError
 
 _FEWEST_PX = 4
+"""Of a piece, whatever is asked for."""
 
 
 def pieces_of(
@@ -23,7 +24,7 @@ def pieces_of(
     Args:
         path: the map of shells, from 1; where None, pieces are looked for.
         shells: how many there are.
-        smallest_px: an area of fewer pixels is no piece.
+        smallest_px: an area of fewer pixels is no piece, nor is one of fewer than 4.
 
     Raises:
         InputError: a map that does not fit, or no piece.
@@ -45,11 +46,12 @@ def pieces_of(
         )
         areas = stats[:, cv2.CC_STAT_AREA]
         sizes += [(int(areas[k]), value, k) for k in range(1, count)]
-    kept = sorted((s for s in sizes if s[0] >= max(smallest_px, _FEWEST_PX)), reverse=True)
+    fewest = max(smallest_px, _FEWEST_PX)
+    kept = sorted((s for s in sizes if s[0] >= fewest), reverse=True)
     if not kept:
         raise InputError(
-            f"{path or 'photographs'}: expected at least one piece of "
-            f"{smallest_px} pixels within the mask, got none"
+            f"{path or 'photographs'}: expected at least one piece of {fewest} pixels within the "
+            "mask, got none"
         )
     numbers = {value: np.zeros(labelled.max() + 1, np.int32) for value, labelled in labels.items()}
     for number, (_, value, k) in enumerate(kept, 1):
