@@ -22,11 +22,12 @@ import numpy as np
 import torch
 
 import raden_torch as rt
+from raden_torch.brdf.files.display import srgb_coded
 from raden_torch.capture.photo.ball import ball_from_mask
 from raden_torch.capture.photo.capture_lights import capture_lights
 from raden_torch.capture.photo.capture_normals import capture_normals
-from raden_torch.capture.photo.lamps import write_lamps
-from raden_torch.capture.photo.matt_reference import sphere_normals
+from raden_torch.capture.photo.lamps import Lamps, write_lamps
+from raden_torch.capture.photo.matt_reference import angle_deg, sphere_normals
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.optics.specimens import SPECIMENS, reflectance_factors
 from raden_torch.stereo.capture_model_normals import ModelOptions, capture_model_normals
@@ -110,8 +111,7 @@ def photographed(folder: Path, name: str, shape: str, count: int, bits: int, sid
     linear += 0.002 * np.sqrt(abs(linear) + 0.01) * rng.normal(size=linear.shape)
     linear = linear.clip(0, 1)
     if bits == 8:
-        coded = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-        stored = np.rint(255 * coded).astype(np.uint8)
+        stored = np.rint(255 * srgb_coded(torch.from_numpy(linear)).numpy()).astype(np.uint8)
     else:
         stored = np.rint(65535 * linear).astype(np.uint16)
     for k, picture in enumerate(stored):
@@ -122,19 +122,13 @@ def photographed(folder: Path, name: str, shape: str, count: int, bits: int, sid
 
 
 def write_lights(path: Path, lamps: Array) -> None:
-    rows = [
-        {"photograph": f"photo{k:02d}.png", "direction_to_lamp": lamp.tolist(), "intensity": 1.0}
-        for k, lamp in enumerate(lamps)
-    ]
-    said = {"format": "raden capture", "version": 1, "kind": "lights", "made_from": []}
-    said |= {"unit": "px", "response_exponent": 1.0, "lamps": rows}
-    path.write_text(json.dumps(said))
+    names = tuple(f"photo{k:02d}.png" for k in range(len(lamps)))
+    write_lamps(Lamps(lamps, np.ones(len(lamps)), names=names), path)
 
 
 def off_deg(found: torch.Tensor, true: Array, mask: Array) -> Array:
-    a, b = found[0].movedim(0, -1).double().numpy()[mask], true[mask]
-    near = np.linalg.norm(np.cross(a, b), axis=1)
-    return np.degrees(np.arctan2(near, (a * b).sum(1)))
+    there = found[0, :, torch.from_numpy(mask)].double()
+    return angle_deg(there, torch.from_numpy(true[mask].T)).numpy()
 
 
 def solved(

@@ -17,11 +17,12 @@ from raden_torch.brdf.files.display import (
     Display,
     key_exposure_ev,
 )
-from raden_torch.brdf.files.gbuffer_file import GBufferFile
+from raden_torch.brdf.files.gbuffer_file import read_gbuffer
 from raden_torch.brdf.files.gbuffer_reading import USUAL, GBufferReading
 from raden_torch.brdf.files.image_file import (
     Photograph,
     check_photograph,
+    masked_normals,
     read_mask,
     read_normal_map,
     read_photograph,
@@ -29,7 +30,7 @@ from raden_torch.brdf.files.image_file import (
 )
 from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.files.material_map import nothing_to_choose, read_material
-from raden_torch.brdf.files.normal_axes import Green
+from raden_torch.brdf.files.normal_axes import Green, NormalAxes
 from raden_torch.brdf.materials.anisotropic import no_tangent, takes_tangent
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
@@ -38,6 +39,7 @@ from raden_torch.brdf.shading.relight import Gain, relight, relit_under, tiled
 from raden_torch.contact_sheet import contact_sheet
 from raden_torch.errors import InputError
 from raden_torch.files import check_outputs
+from raden_torch.geometry import normalised
 
 Layout = Literal["picture", "strip", "sheet"]
 """Of what `relight_files` writes."""
@@ -113,11 +115,19 @@ class Surface:
             if not takes_tangent(model):
                 raise no_tangent(f"{path}: tangent")
             tangent = torch.as_tensor(reading.tangent, dtype=torch.float32).view(1, 3, 1, 1)
-        of_normals = replace(reading, material=None, tangent=None)
-        normal = read_normal_map(normals, green, **vars(of_normals))
+        xyz = str(NormalAxes.of(reading.xyz, green))
+        of_normals = vars(replace(reading, material=None, tangent=None, xyz=xyz))
+        layers: dict[str, Tensor] = {}
+        if normals.suffix.lower() == ".exr":
+            gbuffer = read_gbuffer(normals, **of_normals)
+            normal = normalised(masked_normals(gbuffer))
+            names = ("layer_normal", "diffuse_gain", "specular_gain")
+            layers = {name: m for name in names if (m := getattr(gbuffer, name)) is not None}
+        else:
+            normal = read_normal_map(normals, **of_normals)
         coverage = read_mask(mask) if mask else (normal != 0).any(dim=1, keepdim=True).float()
         material = _material(model, reading.material, normal, coverage)
-        return cls(normal, coverage, material, tangent, _layers(normals, of_normals))
+        return cls(normal, coverage, material, tangent, layers)
 
 
 def relight_files(
@@ -202,16 +212,6 @@ def relit_photograph(
     shown = replace(display, tone="srgb") if is_linear else display
     relit = _relit(model, photo.linear, surface, lights, layout, shown, original)
     return replace(photo, linear=relit, alpha=_alpha_of(photo, path, layout, len(lights)))
-
-
-def _layers(path: Path, reading: GBufferReading) -> dict[str, Tensor]:
-    """The film layers of an EXR's surface."""
-    if path.suffix.lower() != ".exr":
-        return {}
-    file = GBufferFile(path, reading, is_checked=False)
-    gbuffer = file.rows(0, file.size[0])
-    names = ("layer_normal", "diffuse_gain", "specular_gain")
-    return {name: m for name in names if (m := getattr(gbuffer, name)) is not None}
 
 
 def _material(

@@ -296,7 +296,8 @@ def normals(
         order=found.order,
         notes=found.notes,
     )
-    save_plot(draw_normals(found.surface, found.lamps, used, found.mask), picture)
+    sheet = draw_normals(found.surface, found.lamps, used, found.mask, by_material=how.compares)
+    save_plot(sheet, picture)
     for path in written:
         print(f"wrote {path}")
     print(f"wrote {picture} (look at it)")

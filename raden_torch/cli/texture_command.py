@@ -39,7 +39,7 @@ class InlayOptions:
     )
     gain: Annotated[bool, switch("keep how much brighter each pixel is than its model")] = False
     smallest_px: int = 16
-    """an area of fewer pixels is no piece"""
+    """an area of fewer pixels is no piece, nor is one of fewer than 4"""
     exponent: float | None = None
     """exponent of the response; by default the one in the lights file"""
     keep_order: Annotated[bool, switch("do not stop if another order of the lamps fits better")] = (

@@ -155,7 +155,8 @@ def _inlay(path: Path) -> str:
             f"{len(found.pieces)} pieces from {len(found.photographs)} photographs, layers: "
             f"{found.layers}",
             f"materials: {', '.join(found.materials)}",
-            f"residual of a photograph: {100 * found.median_residual:.2g} % of its mean light",
+            f"residual of a photograph: {100 * found.median_residual:.2g} % of a pixel's mean "
+            "light over all lamps",
             f"beside it: {', '.join(found.files.values())}",
             *(f"note: {note}" for note in found.notes),
         ]

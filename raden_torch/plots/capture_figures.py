@@ -22,6 +22,7 @@ from raden_torch.plots.plot_style import FAINT, INK, SMALL, TEXT, printable
 
 _BALL, _LAMP, _BAD = "#0072b2", "#d55e00", "#a3271f"
 _DPI = 110
+_OF_LIGHT = "a pixel's mean light\nover all lamps"
 
 
 def draw_lamps(
@@ -70,10 +71,20 @@ def draw_lamps(
 
 
 def draw_normals(
-    found: SurfaceNormals, lamps: Lamps, photographs: Sequence[Path], mask: NDArray[Any]
+    found: SurfaceNormals,
+    lamps: Lamps,
+    photographs: Sequence[Path],
+    mask: NDArray[Any],
+    *,
+    by_material: bool = False,
 ) -> Figure:
     """Normals, a lit ball that explains their colours, albedo, confidence, and each lamp's
-    residual."""
+    residual.
+
+    Args:
+        by_material: the photographs were compared with a material that is not matt: the albedo is
+            a factor on it, and residuals are relative to a pixel's mean light.
+    """
     figure = _sheet(11.5, 8.6)
     grid = figure.add_gridspec(2, 3, height_ratios=(2.2, 1))
     rows, columns = np.nonzero(mask > 0.5)
@@ -89,7 +100,11 @@ def draw_normals(
     confidence = found.confidence[0, 0].detach().cpu().numpy()
     panels = (
         ("normals (x red, y green, z blue)", (normal + 1) / 2 * there, None),
-        ("albedo", np.clip(albedo / max(top, 1e-12), 0, 1) ** (1 / 2.2), None),
+        (
+            "factor on the material" if by_material else "albedo",
+            np.clip(albedo / max(top, 1e-12), 0, 1) ** (1 / 2.2),
+            None,
+        ),
         ("confidence", confidence, "viridis"),
     )
     for column, (title, picture, colours) in enumerate(panels):
@@ -103,7 +118,8 @@ def draw_normals(
             _key(ax)
     ax = figure.add_subplot(grid[1, :2])
     residual = 100 * found.lamp_residual.cpu().numpy()
-    _residuals(ax, residual, photographs, "residual (% of the albedo)")
+    of = _OF_LIGHT if by_material else "the albedo"
+    _residuals(ax, residual, photographs, f"residual (% of {of})")
     ax.set_title("How each photograph disagrees with the normals (median)", fontsize=TEXT + 1)
     _dial(figure.add_subplot(grid[1, 2], projection="polar"), lamps, small=True)
     return figure
@@ -144,7 +160,7 @@ def draw_inlay(
         elif colours:
             figure.colorbar(shown, ax=ax, shrink=0.6).ax.tick_params(labelsize=SMALL)
     ax = figure.add_subplot(grid[1, :])
-    _residuals(ax, 100 * residual, photographs, "residual (% of the mean light)")
+    _residuals(ax, 100 * residual, photographs, f"residual (% of {_OF_LIGHT})")
     ax.set_title("How each photograph disagrees with what was found (median)", fontsize=TEXT + 1)
     return figure
 

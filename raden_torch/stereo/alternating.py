@@ -19,13 +19,14 @@ from torch import Tensor
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
 from raden_torch.errors import InputError
 from raden_torch.stereo.isotropic_table import fitted, lobe
-from raden_torch.stereo.observed_light import ObservedLight, shown
+from raden_torch.stereo.observed_light import ObservedLight, sampled, shown
 from raden_torch.stereo.solve import Known, ModelNormals, solve_by_model
 
 MIN_LAMPS = 6
 _TURNS = 8
 _STAYS_DEG = 0.3
 _SAMPLE, _FIRST_SAMPLE = 1500, 500
+_MATT = (1.0, 0.0)
 _LOBES = ((0.06, 4.0), (0.12, 1.0), (0.12, 4.0), (0.25, 1.0), (0.25, 4.0), (0.4, 1.0), (0.4, 4.0))
 """Widths and heights of the first highlights."""
 _BETTER = 0.7
@@ -38,7 +39,7 @@ class Alternated:
     """What was found.
 
     Attributes:
-        found: the normals of all pixels.
+        found: the normals of the pixels given.
         material: what was fitted; its scale is that of the photographs.
         moved_deg: how far the normals of the sample moved in each turn, in the median.
         cost: of a pixel in the median; `lambertian`: by the Lambertian law.
@@ -78,16 +79,13 @@ def alternate(
             f"got {len(light.value)}; give a model"
         )
     done = progress or (lambda share: None)
-    first = _thinned(light, _FIRST_SAMPLE)
-    matt = _with(lobe(1.0, 0.0), first)
-    tried = [(matt, lobe(1.0, 0.0))]
-    for place, (width, height) in enumerate(_LOBES):
-        tried.append((_with(lobe(width, height), first), lobe(width, height)))
-        done(0.2 * (place + 1) / len(_LOBES))
-    lambertian = float(matt.cost.median())
-    some = _thinned(light, _SAMPLE)
-    material = min(tried, key=lambda t: float(t[0].cost.median()))[1]
-    found = _with(material, some)
+    bodies = [lobe(*each) for each in (_MATT, *_LOBES)]
+    first, costs = sampled(light, _FIRST_SAMPLE), []
+    for place, body in enumerate(bodies):
+        costs.append(float(_with(body, first).cost.median()))
+        done(0.2 * (place + 1) / len(bodies))
+    some = sampled(light, _SAMPLE)
+    found = _with(bodies[costs.index(min(costs))], some)
     _check_spread(found.normal)
     moved: list[float] = []
     for turn in range(_TURNS):
@@ -100,7 +98,7 @@ def alternate(
             break
     whole = solve_by_model([material], light, progress=lambda share: done(0.5 + 0.5 * share))
     cost = float(whole.cost.median())
-    return Alternated(whole, material, tuple(moved), cost, lambertian)
+    return Alternated(whole, material, tuple(moved), cost, costs[0])
 
 
 def fit_at(light: ObservedLight, normal: Tensor) -> RuntimeBrdf:
@@ -117,11 +115,7 @@ def fit_at(light: ObservedLight, normal: Tensor) -> RuntimeBrdf:
 
 
 _GRAZING = 0.05
-"""Below this cosine a reading is mostly noise."""
-
-
-def _thinned(light: ObservedLight, most: int) -> ObservedLight:
-    return light.at(torch.arange(0, light.pixels, max(1, -(-light.pixels // most))))
+"""Below this irradiance, the lamp's strength times the cosine, a reading is mostly noise."""
 
 
 def _with(material: RuntimeBrdf, light: ObservedLight) -> ModelNormals:

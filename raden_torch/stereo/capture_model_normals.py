@@ -14,19 +14,14 @@ from torch import Tensor
 from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.capture.photo.capture_normals import (
-    FoundNormals,
-    LitSet,
-    odd_lamps,
-    read_lit_set,
-)
+from raden_torch.capture.photo.capture_normals import FoundNormals, LitSet, read_lit_set
 from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
 from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.stereo.alternating import alternate
-from raden_torch.stereo.lamp_assignment import check_order, refuse
+from raden_torch.stereo.lamp_assignment import agreement
 from raden_torch.stereo.photographed import Photographed
-from raden_torch.stereo.solve import ModelNormals, joined, learnt, residuals, solve_by_model
+from raden_torch.stereo.solve import Known, ModelNormals, joined, learnt, solve_by_model
 
 
 @dataclass(frozen=True)
@@ -83,9 +78,10 @@ def capture_model_normals(
     correction = None if options.colour is None else read_colour(options.colour)
     seen = Photographed.of(given, correction)
     notes: list[str] = []
+    some = None
     if materials is None:
         learned = alternate(seen.sample, progress=lambda share: done(0.2 + 0.3 * share))
-        materials = [learned.material]
+        materials, some = [learned.material], learned.found
         if not learned.has_settled:
             notes.append(
                 f"normals and material have not settled: they still move by "
@@ -100,14 +96,11 @@ def capture_model_normals(
         seen = seen.balanced(materials)
     light = seen.sample
     known = learnt(materials, light)
-    some = solve_by_model(materials, light, known=known)
-    wrong = check_order(materials, light, some, photographs)
-    if wrong is not None and not options.keep_order:
-        raise refuse(wrong, photographs[0])
-    found = solved(seen, materials, lambda share: done(0.5 + 0.5 * share))
-    _, off = residuals(materials, light, some)
-    residual = torch.nanmedian(off, dim=1).values
-    notes += [*([wrong] if wrong else []), *odd_lamps(residual, photographs)]
+    if some is None:
+        some = solve_by_model(materials, light, known=known)
+    residual, odd = agreement(materials, light, some, photographs, keep_order=options.keep_order)
+    notes += odd
+    found = solved(seen, materials, known, lambda share: done(0.5 + 0.5 * share))
     for note in notes:
         warnings.warn(note, stacklevel=2)
     surface = as_maps(seen, found, residual)
@@ -120,10 +113,12 @@ def members(model: Reflection) -> list[Reflection]:
 
 
 def solved(
-    seen: Photographed, materials: Sequence[Reflection], progress: Callable[[float], None]
+    seen: Photographed,
+    materials: Sequence[Reflection],
+    known: Known,
+    progress: Callable[[float], None],
 ) -> ModelNormals:
     """All pixels of the object, in the order of `seen.index`, some at a time."""
-    known = learnt(materials, seen.sample)
     parts, found = seen.parts(), []
     for k, index in enumerate(parts):
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import torch
@@ -15,15 +16,17 @@ from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.brdf.materials.urushi import black_urushi
-from raden_torch.capture.photo.capture_normals import LitSet, odd_lamps, read_lit_set
+from raden_torch.capture.photo.capture_normals import LitSet, read_lit_set
 from raden_torch.capture.photo.colour import read_colour
+from raden_torch.capture.photo.matt_reference import angle_deg
 from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 from raden_torch.stereo.inlay import Inlay, find_inlay
-from raden_torch.stereo.lamp_assignment import check_order, refuse
+from raden_torch.stereo.lamp_assignment import agreement
+from raden_torch.stereo.observed_light import ObservedLight, thinned
 from raden_torch.stereo.photographed import Photographed
 from raden_torch.stereo.pieces import pieces_of
-from raden_torch.stereo.solve import ModelNormals, residuals
+from raden_torch.stereo.solve import SAMPLE, ModelNormals
 
 _UNEVEN_DEG = 2.0
 """Layers that vary by more within a piece are seen as such."""
@@ -42,7 +45,7 @@ class TextureOptions:
         colour: of `raden capture colour`; without it the photographs have sRGB's primaries.
         per_pixel: each pixel keeps its own layer normal.
         gain: keep the factor on the palette's reflection, pixel by pixel.
-        smallest_px: an area of fewer pixels is no piece.
+        smallest_px: an area of fewer pixels is no piece, nor is one of fewer than 4.
         exponent, keep_order, coded: as for `capture_normals`.
     """
 
@@ -70,7 +73,8 @@ class FoundInlay:
 
     Attributes:
         palette: the ground and the shells.
-        surface: `[3, H·W]`; `residual`: `[K]`, of each photograph over its mean light.
+        surface: `[3, H·W]`; `residual`: `[K]`, how far each photograph is from what was found, in
+            the median over pixels, each relative to its mean light over all lamps.
     """
 
     inlay: Inlay
@@ -80,11 +84,10 @@ class FoundInlay:
     residual: Tensor
     notes: tuple[str, ...]
 
-    @property
+    @cached_property
     def tilt_deg(self) -> Tensor:
         """`[H·W]` between the film layers and the surface."""
-        near = torch.linalg.cross(self.inlay.layer_normal, self.surface, dim=0).norm(dim=0)
-        return torch.rad2deg(torch.atan2(near, (self.inlay.layer_normal * self.surface).sum(0)))
+        return angle_deg(self.inlay.layer_normal, self.surface)
 
     def __str__(self) -> str:
         """A line a shell: its pieces and how their layers lean."""
@@ -150,10 +153,8 @@ def capture_texture(
         per_pixel=options.per_pixel,
         progress=lambda share: done(0.2 + 0.8 * share),
     )
-    residual, wrong = _judged(seen, shells, inlay, surface, photographs)
-    if wrong is not None and not options.keep_order:
-        raise refuse(wrong, photographs[0])
-    notes = [*([wrong] if wrong else []), *odd_lamps(residual, photographs)]
+    light, fitted = _sample(seen, inlay, surface)
+    residual, notes = agreement(shells, light, fitted, photographs, keep_order=options.keep_order)
     uneven = sum(piece.varies_deg > _UNEVEN_DEG for piece in inlay.pieces)
     if uneven and not options.per_pixel:
         notes.append(
@@ -194,19 +195,14 @@ def _surface(given: LitSet, path: Path | None) -> Tensor:
     return torch.where((flat != 0).any(0), flat, up)
 
 
-def _judged(
-    seen: Photographed,
-    shells: Sequence[Reflection],
-    inlay: Inlay,
-    surface: Tensor,
-    photographs: Sequence[Path],
-) -> tuple[Tensor, str | None]:
-    """How far each photograph is from what was found, `[K]`; whether another order fits."""
+def _sample(
+    seen: Photographed, inlay: Inlay, surface: Tensor
+) -> tuple[ObservedLight, ModelNormals]:
+    """Pixels of the pieces, and what was found there."""
     there = (inlay.material > 0).nonzero()[:, 0]
-    index = there[:: max(1, len(there) >> 12)]
+    index = thinned(there, SAMPLE)
     light = replace(seen.at(index), surface=surface[:, index])
     gain = inlay.gain[:, index].mean(0) * inlay.exposure
     zero = torch.zeros(len(index))
     found = ModelNormals(inlay.layer_normal[:, index], gain, zero, zero, inlay.material[index] - 1)
-    _, off = residuals(shells, light, found)
-    return torch.nanmedian(off, dim=1).values, check_order(shells, light, found, photographs)
+    return light, found

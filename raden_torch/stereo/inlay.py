@@ -7,7 +7,7 @@ that fits all of its pixels best, and the mean of their normals, or each pixel k
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.stereo.observed_light import ObservedLight, shown
+from raden_torch.stereo.observed_light import ObservedLight, shown, thinned
 from raden_torch.stereo.photographed import AT_ONCE, Photographed
-from raden_torch.stereo.solve import ModelNormals, learnt, solve_by_model
+from raden_torch.stereo.solve import Known, ModelNormals, learnt, solve_by_model
 
 _ERODED_PX = 1
 """At its rim a pixel shows lacquer, too."""
@@ -56,7 +56,8 @@ class Inlay:
     Attributes:
         material: `[H·W]` of the palette.
         layer_normal: `[3, H·W]`, the surface's where there is no shell.
-        gain: `[C, H·W]`, the factor on what the palette reflects, 1 in the mean.
+        gain: `[C, H·W]`, the factor on what the palette reflects, 1 in the median over the shells'
+            pixels; no less than 0.2, no more than 5, and 1 where there is no shell.
         error_deg: `[H·W]` of the layers' normal.
         exposure: the photographs' value for a radiance of 1.
         pieces: by falling area.
@@ -97,31 +98,27 @@ def find_inlay(
     inner = torch.from_numpy(_inner(pieces).reshape(-1))
     count = int(number.max())
     most = max(_LEAST, min(_MOST, _MOST_OF_ALL // count))
-    chosen = [_some((inner == k + 1).nonzero()[:, 0], number, k + 1, most) for k in range(count)]
-    index = torch.cat(chosen)
+    pixels = _by_piece(number, count)
+    some = [
+        thinned(own if len(own) else whole, most)  # the rim where a piece has nothing else
+        for own, whole in zip(_by_piece(inner, count), pixels, strict=True)
+    ]
+    index = torch.cat(some)
     light = replace(seen.at(index), surface=surface[:, index])
-    known = learnt(shells, _thin(light))
-    fits = []
-    for place, shell in enumerate(shells):
-
-        def share(part: float, before: int = place) -> None:
-            done(0.8 * (before + part) / len(shells))
-
-        fits.append(solve_by_model([shell], light, known=known, progress=share))
+    known = learnt(shells, light)
+    places = torch.arange(len(index)).split([len(own) for own in some])
+    fits = _fits(shells, light, places, known, given, lambda share: done(0.8 * share))
     material = torch.zeros(number.shape, dtype=torch.long)
     layers, error = surface.clone(), torch.zeros(number.shape)
-    found, start = [], 0
-    for k, own in enumerate(chosen):
-        of = slice(start, start + len(own))
-        start += len(own)
-        known_shell = None if given is None else int(given[k])
-        piece, normal = _piece(fits, light.at(torch.arange(of.start, of.stop)), of, known_shell)
-        everywhere = (number == k + 1).nonzero()[:, 0]
+    found = []
+    for k, everywhere in enumerate(pixels):
+        piece = _piece(fits[k], light.counted[places[k]], len(everywhere))
+        found.append(piece)
         material[everywhere] = piece.material
-        found.append(replace(piece, pixels=len(everywhere)))
         for part in everywhere.split(AT_ONCE):
             if not per_pixel:
-                layers[:, part], error[part] = normal[:, None], piece.error_deg
+                layers[:, part] = torch.tensor(piece.layer_normal)[:, None]
+                error[part] = piece.error_deg
                 continue
             whole = replace(seen.at(part), surface=surface[:, part])
             fit = solve_by_model([shells[piece.material - 1]], whole, known=known)
@@ -131,36 +128,58 @@ def find_inlay(
     return Inlay(material, layers, gain, error, exposure, tuple(found))
 
 
-def _piece(
-    fits: Sequence[ModelNormals],
+def _fits(
+    shells: Sequence[Reflection],
     light: ObservedLight,
-    of: slice,
-    given: int | None,
-) -> tuple[Piece, Tensor]:
-    """The shell whose pixels, each with its own layers, are nearest to the photographs;
-    and their mean normal `[3]`."""
-    tried = []
-    values = light.usable.sum((0, 1)).clamp(min=1) * light.value.shape[1]
-    for place, fit in enumerate(fits):
-        if given is not None and place != given:
+    places: Sequence[Tensor],
+    known: Known,
+    given: NDArray[np.int64] | None,
+    done: Callable[[float], None],
+) -> list[dict[int, ModelNormals]]:
+    """Each piece's pixels, which are at these places of the light, with each shell, or the given
+    one, by material."""
+    found: list[dict[int, ModelNormals]] = [{} for _ in places]
+    for shell, material in enumerate(shells):
+        own = [k for k in range(len(places)) if given is None or given[k] == shell]
+
+        def share(part: float, before: int = shell) -> None:
+            done((before + part) / len(shells))
+
+        if not own:
             continue
-        normals, weight = fit.normal[:, of], 1 / (fit.error_deg[of] ** 2 + 0.01)
+        some = light.at(torch.cat([places[k] for k in own]))
+        fit = solve_by_model([material], some, known=known, progress=share)
+        for k, normals in zip(own, fit.split([len(places[k]) for k in own]), strict=True):
+            found[k][shell + 1] = normals
+    return found
+
+
+def _piece(fits: Mapping[int, ModelNormals], counted: Tensor, pixels: int) -> Piece:
+    """The shell whose pixels, each with its own layers, are nearest to the photographs.
+
+    Args:
+        fits: by material.
+        counted: how many values of each pixel that was fitted count.
+        pixels: of all the piece.
+    """
+    tried = []
+    for material, fit in fits.items():
+        normals, weight = fit.normal, 1 / (fit.error_deg**2 + 0.01)
         middle = normals.median(1, keepdim=True).values
         for _ in range(4):  # the outliers' weight falls with their distance
             apart = torch.rad2deg((normals - middle).norm(dim=0))
             sure = weight / (1 + (apart / 2) ** 2)
             middle = (normals * sure).sum(1, keepdim=True)
             middle = middle / middle.norm(dim=0)
-        residual = float((2 * fit.cost[of] / values).mean().sqrt())
+        residual = float((2 * fit.cost / counted.clamp(min=1)).mean().sqrt())
         varies = float(1.4826 * apart.median())
         # neighbours err together, and the model's own error is all of the pixels'
         scatter = varies / max(len(apart) / 9, 1) ** 0.5
-        error = (scatter**2 + float(fit.error_deg[of].median()) ** 2) ** 0.5
+        error = (scatter**2 + float(fit.error_deg.median()) ** 2) ** 0.5
         x, y, z = (float(c) for c in middle[:, 0])
-        piece = Piece(light.pixels, place + 1, (x, y, z), error, varies, residual, None)
-        tried.append((piece, middle[:, 0]))
-    (best, normal), *others = sorted(tried, key=lambda t: t[0].residual)
-    return replace(best, runner_up=others[0][0].residual if others else None), normal
+        tried.append(Piece(pixels, material, (x, y, z), error, varies, residual, None))
+    best, *others = sorted(tried, key=lambda piece: piece.residual)
+    return replace(best, runner_up=others[0].residual if others else None)
 
 
 def _gains(
@@ -170,8 +189,7 @@ def _gains(
     layers: Tensor,
     surface: Tensor,
 ) -> tuple[Tensor, float]:
-    """`[C, H·W]` photographs over what the palette shows, 1 in the median and where it is dark;
-    and the exposure."""
+    """`Inlay.gain` and `Inlay.exposure`: photographs over what the palette shows."""
     gain = torch.ones(len(seen.balance), len(material))
     for place, shell in enumerate(shells):
         for index in (material == place + 1).nonzero()[:, 0].split(1 << 15):
@@ -188,7 +206,7 @@ def _gains(
 
 
 def _inner(pieces: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The pieces without their rims, but where nothing would be left."""
+    """The pieces without their rims: of a narrow one nothing is left."""
     import cv2
 
     kernel = np.ones((2 * _ERODED_PX + 1,) * 2, np.uint8)
@@ -197,11 +215,8 @@ def _inner(pieces: NDArray[np.int32]) -> NDArray[np.int64]:
     return np.where(low == high, pieces, 0).astype(np.int64)
 
 
-def _some(inner: Tensor, number: Tensor, piece: int, most: int) -> Tensor:
-    """No more than so many pixels of a piece, at least one."""
-    own = inner if len(inner) else (number == piece).nonzero()[:, 0]
-    return own[:: max(1, -(-len(own) // most))]
-
-
-def _thin(light: ObservedLight) -> ObservedLight:
-    return light.at(torch.arange(0, light.pixels, max(1, light.pixels >> 11)))
+def _by_piece(number: Tensor, count: int) -> Sequence[Tensor]:
+    """The pixels of each piece, in order."""
+    there = number.nonzero()[:, 0]
+    sizes = torch.bincount(number[there], minlength=count + 1)[1:]
+    return there[torch.argsort(number[there], stable=True)].split(sizes.tolist())

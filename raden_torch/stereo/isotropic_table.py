@@ -38,9 +38,9 @@ def fitted(
 
     Args:
         n, l, v: `[B, 3, H, W]` unit.
-        readings: `[B, C, H, W]` f_r times `facing`, which `weight` knows: see `weight`.
-        weight: `[B, C, H, W]`: the cosine over the standard deviation of a reading; readings are
-            f_r, so that weight times f_r has a deviation of 1.
+        readings: `[B, C, H, W]` f_r, 1/sr times the photographs' scale.
+        weight: `[B, C, H, W]` one over the standard deviation of each reading; 0 where it does not
+            count.
     """
     from scipy.sparse import csr_matrix
 

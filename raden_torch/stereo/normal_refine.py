@@ -123,9 +123,7 @@ class _Problem:
             mean, deviation = self.prior
             hessian[2, 2] += 1 / deviation**2
             slope[2] += (log_gain - mean) / deviation**2
-        values = light.usable.sum((0, 1)) * residual.shape[1]
-        free = (values - 3).clamp(min=1)
-        spread = moments[3, 3] / free
+        spread = moments[3, 3] / (light.counted - 3).clamp(min=1)
         return hessian, slope, spread
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -12,26 +13,42 @@ from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.stereo.observed_light import ObservedLight, shown
 
 _STEP_DEG = 3.0
+_MOST_TURN_DEG = 85.0
+"""Of a surface from the camera."""
 _MOST_TILT_DEG = 30.0
 """Of film layers below a known surface."""
 _NEAR_DEG = 6.0
 """Normals closer than this count as one start."""
-_COARSE = 6.0
-"""How many standard deviations of a value the table's step is worth."""
 _AT_ONCE = 1 << 11
 
 
-def hemisphere(view: Tensor, step_deg: float = _STEP_DEG, widest_deg: float = 85.0) -> Tensor:
+def hemisphere(
+    view: Tensor, step_deg: float = _STEP_DEG, widest_deg: float = _MOST_TURN_DEG
+) -> Tensor:
     """`[3, M]` normals about a direction `[3]`, evenly: a Fibonacci spiral (Vogel 1979)."""
+    local = _spiral(step_deg, widest_deg).to(view)
+    a, b = tangents(view[:, None])
+    return a * local[0] + b * local[1] + view[:, None] * local[2]
+
+
+@cache
+def _spiral(step_deg: float, widest_deg: float) -> Tensor:
+    """`[3, M]` about z, float64."""
     lowest = math.cos(math.radians(widest_deg))
     count = round(2 * math.pi * (1 - lowest) / math.radians(step_deg) ** 2)
     k = torch.arange(count, dtype=torch.float64)
     z = 1 - (1 - lowest) * (k + 0.5) / count
     turn = k * (math.pi * (3 - math.sqrt(5)))
     r = (1 - z * z).sqrt()
-    local = torch.stack([r * turn.cos(), r * turn.sin(), z]).to(view)
-    a, b = tangents(view[:, None])
-    return a * local[0] + b * local[1] + view[:, None] * local[2]
+    return torch.stack([r * turn.cos(), r * turn.sin(), z])
+
+
+@cache
+def _taken(step_deg: float, widest_deg: float) -> Tensor:
+    """`[M, M]`, infinite where two normals of a hemisphere count as one start, else 0."""
+    normals = _spiral(step_deg, widest_deg).float()
+    near = normals.T @ normals > math.cos(math.radians(_NEAR_DEG))
+    return torch.where(near, torch.inf, 0.0)
 
 
 def tangents(normal: Tensor) -> tuple[Tensor, Tensor]:
@@ -74,13 +91,12 @@ def search(
     """
     middle = light.middle
     if middle.surface is None:
-        normals = hemisphere(middle.view[:, 0])
+        axis, spaced = middle.view, (_STEP_DEG, _MOST_TURN_DEG)
     else:
-        normals = hemisphere(middle.surface[:, 0], _STEP_DEG / 2, _MOST_TILT_DEG)
+        axis, spaced = middle.surface, (_STEP_DEG / 2, _MOST_TILT_DEG)
+    normals, taken = hemisphere(axis[:, 0], *spaced), _taken(*spaced).to(axis)
     table = shown(material, normals, middle).flatten(0, 1)
     square = table * table
-    near = normals.T @ normals > math.cos(math.radians(_NEAR_DEG))
-    taken = torch.where(near, torch.inf, 0.0)
     found = [
         _best(light.at(index), table, square, taken, starts, gain)
         for index in torch.arange(light.pixels, device=table.device).split(_AT_ONCE)
@@ -99,8 +115,7 @@ def _best(
 ) -> tuple[Tensor, Tensor]:
     """Places in the table and scales, `[S, P]` each: of min over g of Σ w (o − g t)²."""
     value = light.value.flatten(0, 1)
-    # between the table's normals a steep lobe changes by more than the noise
-    weight = (light.weight / _COARSE).flatten(0, 1) ** 2
+    weight = light.weight.flatten(0, 1) ** 2
     both = (weight * value).T @ table
     own = weight.T @ square
     scale = both / own.clamp_(min=1e-30)

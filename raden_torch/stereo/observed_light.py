@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import torch
 from torch import Tensor
 
 from raden_torch.brdf.materials.surface import Reflection
@@ -57,6 +58,11 @@ class ObservedLight:
         return self.value.shape[-1]
 
     @cached_property
+    def counted(self) -> Tensor:
+        """`[P]`, how many values of each pixel count."""
+        return self.usable.sum((0, 1)) * self.value.shape[1]
+
+    @cached_property
     def weight(self) -> Tensor:
         """`[K, C, P]` one over the standard deviation of each value, 0 where it is clipped."""
         return self.usable / (RELATIVE_NOISE * self.value + self.floor)
@@ -78,6 +84,16 @@ class ObservedLight:
             self.floor,
             None if self.surface is None else mean(self.surface, 0),
         )
+
+
+def thinned(index: Tensor, most: int) -> Tensor:
+    """Of pixels' numbers no more than so many, evenly."""
+    return index[:: max(1, -(-len(index) // most))]
+
+
+def sampled(light: ObservedLight, most: int) -> ObservedLight:
+    """No more than so many of the pixels, evenly."""
+    return light.at(thinned(torch.arange(light.pixels), most))
 
 
 def shown(material: Reflection, normal: Tensor, light: ObservedLight) -> Tensor:

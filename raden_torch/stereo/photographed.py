@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -12,8 +13,8 @@ from torch import Tensor
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.capture.photo.capture_normals import LitSet
 from raden_torch.capture.photo.colour import ColourCorrection
-from raden_torch.stereo.observed_light import ObservedLight
-from raden_torch.stereo.solve import learnt, residuals, sampled, solve_by_model
+from raden_torch.stereo.observed_light import ObservedLight, thinned
+from raden_torch.stereo.solve import SAMPLE, learnt, residuals, solve_by_model
 
 AT_ONCE = 1 << 17
 _BLOCK = 32
@@ -52,10 +53,11 @@ class Photographed:
         width = given.photos.size[1]
         row, column = inside // width // _BLOCK, inside % width // _BLOCK
         index = inside[torch.argsort(row * (width // _BLOCK + 1) + column, stable=True)]
-        some = given.photos.images.flatten(2)[:, :, index[:: max(1, len(index) // _SAMPLE)]]
-        is_grey = bool((some == some[:, :1]).all()) and correction is None
+        some = thinned(index, _SAMPLE)
+        stored = given.photos.images.flatten(2)[:, :, some]
+        is_grey = bool((stored == stored[:, :1]).all()) and correction is None
         known = cls(given, index, correction, torch.ones(1 if is_grey else 3), 1.0, is_grey)
-        value = known.at(index[:: max(1, len(index) // _SAMPLE)]).value
+        value = known.at(some).value
         bright = float(np.quantile(value.numpy(), _BRIGHT))
         return replace(known, floor=_FLOOR * max(bright, 1e-12))
 
@@ -63,10 +65,10 @@ class Photographed:
     def size(self) -> tuple[int, int]:
         return self.given.photos.size
 
-    @property
+    @cached_property
     def sample(self) -> ObservedLight:
         """A few thousand pixels, all over the object."""
-        return sampled(self.at(self.index[:: max(1, len(self.index) // _SAMPLE)]))
+        return self.at(thinned(self.index, SAMPLE))
 
     def parts(self) -> Sequence[Tensor]:
         """Numbers of pixels that are worked on at once."""
@@ -92,15 +94,8 @@ class Photographed:
         strength = intensity.view(count, 1, 1)
         if given.directions.ndim == 4:
             strength = strength * length
-        return ObservedLight(value, usable, light / length, strength, self.view(index), self.floor)
-
-    def view(self, index: Tensor) -> Tensor:
-        """`[3, P]` unit vectors to the camera; `[3, 1]` where it is far away."""
-        if self.given.lamps.matrix is None:
-            return torch.tensor([[0.0], [0.0], [1.0]])
-        through = self.given.lamps.plane(self.size, -1.0).reshape(3, -1)
-        to = -torch.from_numpy(through).float()[:, index]
-        return to / to.norm(dim=0)
+        view = given.view if given.view.shape[1] == 1 else given.view[:, index]
+        return ObservedLight(value, usable, light / length, strength, view, self.floor)
 
     def balanced(self, materials: Sequence[Reflection]) -> Photographed:
         """With channels as bright as the materials', where the camera's colour was not measured."""

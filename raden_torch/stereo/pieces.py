@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from raden_torch.brdf.files.material_map import stored_indices
 from raden_torch.capture.photo.capture_normals import LitSet
 from raden_torch.capture.photo.segmentation import segment
 from raden_torch.errors import InputError
-from raden_torch.images.pixels import read_pixels
 
 _FEWEST_PX = 4
+"""Of a piece, whatever is asked for."""
 
 
 def pieces_of(
@@ -23,7 +24,7 @@ def pieces_of(
     Args:
         path: the map of shells, from 1; where None, pieces are looked for.
         shells: how many there are.
-        smallest_px: an area of fewer pixels is no piece.
+        smallest_px: an area of fewer pixels is no piece, nor is one of fewer than 4.
 
     Raises:
         InputError: a map that does not fit, or no piece.
@@ -36,7 +37,7 @@ def pieces_of(
     else:
         index = _read_map(path, given.photos.size, shells)
     index = np.where(given.mask > 0.5, index, 0)
-    pieces, shell = np.zeros(index.shape, np.int32), []
+    pieces = np.zeros(index.shape, np.int32)
     sizes: list[tuple[int, int, int]] = []
     labels = {}
     for value in range(1, int(index.max(initial=0)) + 1):
@@ -45,26 +46,23 @@ def pieces_of(
         )
         areas = stats[:, cv2.CC_STAT_AREA]
         sizes += [(int(areas[k]), value, k) for k in range(1, count)]
-    kept = sorted((s for s in sizes if s[0] >= max(smallest_px, _FEWEST_PX)), reverse=True)
+    fewest = max(smallest_px, _FEWEST_PX)
+    kept = sorted((s for s in sizes if s[0] >= fewest), reverse=True)
     if not kept:
         raise InputError(
-            f"{path or 'photographs'}: expected at least one piece of "
-            f"{smallest_px} pixels within the mask, got none"
+            f"{path or 'photographs'}: expected at least one piece of {fewest} pixels within the "
+            "mask, got none"
         )
-    for number, (_, value, k) in enumerate(kept):
-        pieces[labels[value] == k] = number + 1
-        shell.append(value - 1)
-    return pieces, None if path is None else np.array(shell)
+    numbers = {value: np.zeros(labelled.max() + 1, np.int32) for value, labelled in labels.items()}
+    for number, (_, value, k) in enumerate(kept, 1):
+        numbers[value][k] = number
+    for value, labelled in labels.items():
+        pieces += numbers[value][labelled]
+    return pieces, None if path is None else np.array([value - 1 for _, value, _ in kept])
 
 
 def _read_map(path: Path, size: tuple[int, int], shells: int) -> NDArray[np.int64]:
-    pixels = read_pixels(path, colour=False)
-    if pixels.ndim == 3 and (pixels == pixels[..., :1]).all():
-        pixels = pixels[..., 0]
-    if pixels.ndim != 2 or pixels.dtype not in (np.uint8, np.uint16):
-        raise InputError(
-            f"{path}: expected a map of one channel of 8 or 16 bits, whose values are indices"
-        )
+    pixels = stored_indices(path).numpy()
     if pixels.shape != size:
         raise InputError(
             f"{path}: expected the photographs' {size[1]} x {size[0]} pixels, got "

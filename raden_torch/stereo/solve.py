@@ -10,22 +10,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.capture.photo.photometric_stereo import FULL_CONFIDENCE_DEG
+from raden_torch.capture.photo.photometric_stereo import confidence_of
 from raden_torch.capture.photo.tile_threads import in_threads
 from raden_torch.stereo.normal_refine import Refined, refine
 from raden_torch.stereo.normal_search import search
-from raden_torch.stereo.observed_light import ObservedLight, shown
+from raden_torch.stereo.observed_light import ObservedLight, sampled, shown
 
 TILE = 1 << 10
 _STARTS = 4
 _FIRST_ROUNDS, _LAST_ROUNDS = 4, 10
-_SAMPLE = 1 << 12
+SAMPLE = 1 << 12
+"""Pixels that tell of all."""
 _TRUST = 10.0
 """So many values of each pixel's noise are believed to be what the object's median is."""
 _TOGETHER = 6.0
@@ -71,22 +72,22 @@ class ModelNormals:
     cost: Tensor
     member: Tensor
 
+    def split(self, sizes: list[int]) -> list[ModelNormals]:
+        """So many pixels each, one after the other."""
+        fields = (getattr(self, name).split(sizes, -1) for name in self.__dataclass_fields__)
+        return [ModelNormals(*parts) for parts in zip(*fields, strict=True)]
+
     @property
     def confidence(self) -> Tensor:
         """`[P]`, as that of `SurfaceNormals`."""
-        return 1 / (1 + (self.error_deg / FULL_CONFIDENCE_DEG) ** 2)
-
-
-def sampled(light: ObservedLight, most: int = _SAMPLE) -> ObservedLight:
-    """Pixels all over the object, no more than these."""
-    return light.at(torch.arange(0, light.pixels, max(1, -(-light.pixels // most))))
+        return confidence_of(self.error_deg)
 
 
 @torch.no_grad()
 def learnt(materials: Sequence[Reflection], light: ObservedLight) -> Known:
     """How bright and how noisy the object is, by a sample of its pixels."""
     unknown = Known((0.0, math.inf), 1.0)
-    some = sampled(light)
+    some = sampled(light, SAMPLE)
     tiles = torch.arange(some.pixels).split(TILE)
 
     def solve(index: Tensor) -> Refined:
@@ -172,19 +173,13 @@ def _solved(
     costs = torch.stack([t.cost for t in tried])
     best = costs.argmin(0)
     member = best // _STARTS
+    normal = _chosen([t.normal for t in tried], best)
+    gain = _chosen([t.gain for t in tried], best)
     parts = []
     for place, material in enumerate(materials):
-        chosen = torch.where(member == place, best, place * _STARTS)
-        start = _chosen([t.normal for t in tried], chosen), _chosen([t.gain for t in tried], chosen)
         of = (member == place).nonzero()[:, 0]
-        part = refine(
-            material,
-            light.at(of),
-            start[0][:, of],
-            start[1][of],
-            rounds=_LAST_ROUNDS,
-            prior=prior,
-        )
+        start = normal[:, of], gain[of]
+        part = refine(material, light.at(of), *start, rounds=_LAST_ROUNDS, prior=prior)
         parts.append((of, part))
     final = _scattered(parts, light.pixels)
     likely = torch.exp(-(costs - final.cost).clamp(min=0) / max(_TOGETHER * known.spread, 1e-12))
@@ -195,9 +190,8 @@ def _solved(
 
 def _judged(materials: Sequence[Reflection], light: ObservedLight, known: Known) -> ModelNormals:
     final, member, elsewhere = _solved(materials, light, known)
-    values = light.usable.sum((0, 1)) * light.value.shape[1]
-    spread = final.spread * (values - 3).clamp(min=1) + known.spread * _TRUST
-    spread = spread / ((values - 3).clamp(min=1) + _TRUST)
+    free = (light.counted - 3).clamp(min=1)
+    spread = (final.spread * free + known.spread * _TRUST) / (free + _TRUST)
     variance = _TOGETHER * _across(final.hessian) * spread + elsewhere
     error = torch.rad2deg(variance.sqrt()).clamp(max=90.0)
     return ModelNormals(final.normal, final.gain, error, final.cost, member)
@@ -222,11 +216,10 @@ def _chosen(each: Sequence[Tensor], place: Tensor) -> Tensor:
 
 def _scattered(parts: Sequence[tuple[Tensor, Refined]], pixels: int) -> Refined:
     """Pixels by their numbers, put together."""
-    first = parts[0][1]
     whole = {}
     for name in Refined.__dataclass_fields__:
-        like = getattr(first, name)
+        like = getattr(parts[0][1], name)
         whole[name] = like.new_zeros(*like.shape[:-1], pixels)
         for of, part in parts:
             whole[name][..., of] = getattr(part, name)
-    return replace(first, **whole)
+    return Refined(**whole)

@@ -100,6 +100,10 @@ def test_normals_albedo_confidence_and_residuals(found, lamps: Lamps) -> None:
     colours = [bar.get_facecolor() for bar in bars.patches]
     assert colours[0] == colours[1] != colours[2]  # one is far from the median
     assert bars.get_ylabel() == "residual (% of the albedo)"
+    of_material = draw_normals(surface, lamps, names, mask, by_material=True)
+    titled(of_material, "factor on the material")
+    label = titled(of_material, "How each photograph disagrees").get_ylabel()
+    assert label == "residual (% of a pixel's mean light\nover all lamps)"
     assert [tick.get_text() for tick in bars.get_xticklabels()] == ["north", "east $1", "west"]
     check_dial(titled(figure, "Directions to the lamps"), lamps)
 

@@ -3,7 +3,6 @@ in NumPy, without the package's geometry. Frame: x right, y up, z to the viewer,
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from raden_torch.capture.photo.lamps import Lamps, write_lamps
 from raden_torch.stereo.observed_light import ObservedLight
 
 Array = np.ndarray
@@ -77,13 +77,8 @@ def off_deg(found: Tensor, true: Array) -> Array:
 
 
 def write_lights(path: Path, lamps: Array) -> None:
-    rows = [
-        {"photograph": f"photo{k:02d}.png", "direction_to_lamp": d.tolist(), "intensity": 1.0}
-        for k, d in enumerate(lamps)
-    ]
-    content = {"format": "raden capture", "version": 1, "kind": "lights", "made_from": []}
-    content |= {"unit": "px", "response_exponent": 1.0, "lamps": rows}
-    path.write_text(json.dumps(content))
+    names = tuple(f"photo{k:02d}.png" for k in range(len(lamps)))
+    write_lamps(Lamps(lamps, np.ones(len(lamps)), names=names), path)
 
 
 def write_photographs(folder: Path, linear: Array) -> list[Path]:

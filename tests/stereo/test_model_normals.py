@@ -22,7 +22,7 @@ from raden_torch.stereo.lamp_assignment import check_order
 from raden_torch.stereo.normal_refine import refine
 from raden_torch.stereo.normal_search import hemisphere, tangents
 from raden_torch.stereo.observed_light import ObservedLight, shown
-from raden_torch.stereo.solve import learnt, solve_by_model
+from raden_torch.stereo.solve import learnt, residuals, solve_by_model
 from tests.stereo.scenes import (
     VIEW,
     Scene,
@@ -192,6 +192,7 @@ def test_exchanged_photographs_are_named(scene: Scene) -> None:
             order[[2, 7]] = order[[7, 2]]
         light = replace(scene, linear=scene.linear[order]).light
         found = solve_by_model([Shell()], light, known=learnt([Shell()], light))
-        said = check_order([Shell()], light, found, names)
+        radiance, _ = residuals([Shell()], light, found)
+        said = check_order(radiance, light, names)
         assert (said is None) is not swapped
     assert "photo02.png under lamp 8, photo07.png under lamp 3" in said

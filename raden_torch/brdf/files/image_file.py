@@ -275,7 +275,7 @@ def read_normal_map(
     """
     axes = NormalAxes.of(GBufferReading(**reading).xyz, green)
     if Path(path).suffix.lower() == ".exr":
-        normal = _masked_normals(read_gbuffer(path, **{**reading, "xyz": str(axes)}))
+        normal = masked_normals(read_gbuffer(path, **{**reading, "xyz": str(axes)}))
     else:
         pixels = read_pixels(path, colour=False)
         if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
@@ -300,7 +300,8 @@ def read_normal_map(
     return normalised(normal)
 
 
-def _masked_normals(gbuffer: GBuffer) -> Tensor:
+def masked_normals(gbuffer: GBuffer) -> Tensor:
+    """A G-buffer's normals, zero where its mask is."""
     if gbuffer.mask is None:
         return gbuffer.normal
     return torch.where(gbuffer.mask > 0, gbuffer.normal, torch.zeros_like(gbuffer.normal))

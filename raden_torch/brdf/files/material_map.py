@@ -62,7 +62,7 @@ class MaterialMap:
             self.keys = _keys(self._file, palette, layer, is_own=file is None)
             found = self._file.size
         elif suffix in _WHOLE_NUMBERS:
-            self._pixels = _stored(path)
+            self._pixels = stored_indices(path)
             found = cast(tuple[int, int], tuple(self._pixels.shape))
         else:
             raise InputError(
@@ -130,8 +130,12 @@ def read_material(
     return MaterialMap(path, palette, size).rows(0, size[0], mask)
 
 
-def _stored(path: str | os.PathLike[str]) -> Tensor:
-    """`[H, W]` whole numbers of a grey image."""
+def stored_indices(path: str | os.PathLike[str]) -> Tensor:
+    """`[H, W]` whole numbers of a grey image, uint8 or int32.
+
+    Raises:
+        InputError: no image, or not one channel of 8 or 16 bits.
+    """
     pixels = read_pixels(path, colour=False)
     if pixels.ndim == 3 and (pixels == pixels[..., :1]).all():
         pixels = pixels[..., 0]

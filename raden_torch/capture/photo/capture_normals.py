@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.capture.photo.lambert_fit import Method
-from raden_torch.capture.photo.lamp_order import OrderCheck, check_order
+from raden_torch.capture.photo.lamp_order import OrderCheck, check_order, under_lamps
 from raden_torch.capture.photo.lamps import Lamps, read_lamps
 from raden_torch.capture.photo.lights_check import check_lights
 from raden_torch.capture.photo.photo_set import (
@@ -127,6 +128,14 @@ class LitSet:
         """`[K]`"""
         return torch.from_numpy(self.lamps.intensity).float()
 
+    @cached_property
+    def view(self) -> Tensor:
+        """`[3, H·W]` unit vectors to the camera; `[3, 1]` where it is far away."""
+        if self.lamps.matrix is None:
+            return torch.tensor([[0.0], [0.0], [1.0]])
+        through = torch.from_numpy(self.lamps.plane(self.photos.size, -1.0)).float().flatten(1)
+        return -through / through.norm(dim=0)
+
 
 def read_lit_set(
     photographs: Sequence[Path],
@@ -180,16 +189,13 @@ def _checked_order(given: LitSet, keep_order: bool) -> OrderCheck | None:
     )
     if order is None or not order.uncertain:
         return order
-    moved = order.moved()
-    shown = ", ".join(
-        f"{photos.paths[k].name} under lamp {order.order[k] + 1}" for k in moved[:4]
-    ) + (" …" if len(moved) > 4 else "")
     text = (
         f"the photographs seem to be in another order than the lamps: {100 * order.outside:.1f} % "
-        f"of the light fits no surface, {100 * order.best:.1f} % with {shown}"
+        f"of the light fits no surface, {100 * order.best:.1f} % with "
+        f"{under_lamps(order.order, photos.paths)}"
     )
     if order.doubtful and not keep_order:
-        raise InputError(f"{photos.paths[moved[0]]}: {text}; give them in the lamps' order")
+        raise InputError(f"{photos.paths[order.moved()[0]]}: {text}; give them in the lamps' order")
     warnings.warn(text, stacklevel=3)
     return order
 

@@ -8,9 +8,10 @@ orders of the lamps make other spaces, so the order that leaves least outside is
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -88,6 +89,13 @@ def check_order(images: Tensor, lights: Tensor, mask: Tensor | None = None) -> O
     if outside(best) > first * (1 - 1e-9):
         best = given
     return OrderCheck(first, outside(best), tuple(best))
+
+
+def under_lamps(order: Sequence[int], photographs: Sequence[Path]) -> str:
+    """The first four that have another lamp than their own: "a.png under lamp 3, …"."""
+    pairs = enumerate(zip(order, photographs, strict=True))
+    shown = [f"{path.name} under lamp {lamp + 1}" for k, (lamp, path) in pairs if lamp != k]
+    return ", ".join(shown[:4]) + (" …" if len(shown) > 4 else "")
 
 
 def _swapped_downhill(order: list[int], outside: Callable[[list[int]], float]) -> list[int]:

@@ -41,6 +41,11 @@ _PLANES = 6
 """Of the maps beside the albedo: normal, confidence, error, lamps."""
 
 
+def confidence_of(error_deg: Tensor) -> Tensor:
+    """1/(1 + (e/5°)²) of standard errors."""
+    return 1 / (1 + (error_deg / FULL_CONFIDENCE_DEG) ** 2)
+
+
 @dataclass(frozen=True, eq=False)
 class SurfaceNormals:
     """What the photographs say of the surface.
@@ -184,7 +189,7 @@ def _solve_tile(part: LitPixels, scale: Tensor, method: Method) -> tuple[Tensor,
     relative = (part.grey / torch.where(solved, rho, 1.0) - predicted).abs()
     error = _standard_error_deg(part, lights, normal, relative, weight)
     error = torch.where(solved, error, 0.0)
-    confidence = torch.where(solved, 1 / (1 + (error / FULL_CONFIDENCE_DEG) ** 2), 0.0)
+    confidence = torch.where(solved, confidence_of(error), 0.0)
     facing = weight * predicted.clamp(min=0)
     norm = (facing * predicted).sum(dim=0)
     albedo = (facing[:, None] * part.value).sum(dim=0) / norm.clamp(min=1e-12)

@@ -21,6 +21,8 @@ from raden_torch.brdf.files.image_file import (
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.shading.relight import lamp_ring, matching_gain, relight, relit_under, tiled
 from raden_torch.errors import InputError
+from raden_torch.images.exr import write_channels
+from raden_torch.relighting import Surface
 
 
 @pytest.fixture(scope="module")
@@ -131,6 +133,20 @@ def test_normal_maps_of_every_kind(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "grey.png"), alpha)
     with pytest.raises(InputError, match="three channels"):
         read_normal_map(tmp_path / "grey.png")
+
+
+def test_layers_that_lie_in_the_surface_are_turned_as_it_is(lambertian, tmp_path: Path) -> None:
+    """Where an EXR's layer normal is zero it is the surface's, also of a map with green down."""
+    normal, _ = ball()
+    x, y, z = normal[0].numpy()
+    names = ("normal.X", "normal.Y", "normal.Z", "layer_normal.X", "layer_normal.Y")
+    channels = dict(zip(names, (x, -y, z, 0 * x, 0 * x), strict=True))
+    write_channels(tmp_path / "n.exr", {**channels, "layer_normal.Z": 0 * x})
+    surface = Surface.read(lambertian, tmp_path / "m", tmp_path / "n.exr", None, "directx")
+    torch.testing.assert_close(surface.normal, normal, atol=1e-3, rtol=0)
+    inside = (normal != 0).any(1)[0]
+    layers = surface.layers["layer_normal"]
+    torch.testing.assert_close(layers[..., inside], normal[..., inside], atol=1e-3, rtol=0)
 
 
 @pytest.mark.parametrize(("levels", "kind"), [(255, np.uint8), (65535, np.uint16)])
