@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from raden_torch.arrays import Bools, Floats, Ints
+from raden_torch.arrays import Floats, Ints
 from raden_torch.reflectance.grid import AngleGrid
-from raden_torch.reflectance.isotropic import STEP_DEG, mean_percent
+from raden_torch.reflectance.isotropic import STEP_DEG, Derived, mean_percent
+from raden_torch.reflectance.kriging import s_u_t
 from raden_torch.reflectance.log_readings import FLOOR, LUMINANCE, LogReadings
-from raden_torch.reflectance.scattered import nodes_read
+from raden_torch.reflectance.scattered import nodes_read_beside
 from raden_torch.reflectance.symmetric_kriging import RECIPROCAL, SymmetricKriging
 
 MANY = 20_000
@@ -25,28 +24,14 @@ on beyond the readings better than `continuation` does (docs/decisions/0047-few-
 _APART_DEG = 3.0
 
 
-@dataclass(frozen=True)
-class FromFew:
-    """A table at the nodes of `GRID`.
-
-    Attributes:
-        values: `[A, R, T, C]` reflectance factors.
-        std: `[A, R, T]` expected standard deviation of Y over Y.
-        measured: `[A, R, T]`, a reading lies within half a step of the node.
-        why: what was assumed and how far the readings bear it out; one sentence.
-    """
-
-    values: Floats
-    std: Floats
-    measured: Bools
-    why: str
-
-
 def all_around(angles_deg: Floats) -> bool:
     """Whether readings `[M, 3]` differ in the angles of light and view from the normal and in the
     tilt, as those of one plane, or of one view, do not."""
     a, r, t = np.deg2rad(angles_deg).T
-    light, view = (np.rad2deg(np.arccos(np.clip(np.cos(x) * np.cos(t), -1, 1))) for x in (a, r))
+    light, view = (
+        np.rad2deg(np.arctan2(np.hypot(np.sin(x) * np.cos(t), np.sin(t)), np.cos(x) * np.cos(t)))
+        for x in (a, r)
+    )
     spread = min(float(np.std(x)) for x in (light, view, np.rad2deg(t)))
     return len(angles_deg) <= MANY and spread > _APART_DEG
 
@@ -58,8 +43,8 @@ def from_few(
     count: Ints | None = None,
     *,
     assume: str,
-) -> FromFew:
-    """The table of readings that are `all_around`.
+) -> Derived:
+    """The table, at the nodes of `GRID`, of readings that are `all_around`.
 
     Args:
         angles_deg, xyz, std, count: as for `LogReadings.of`.
@@ -77,23 +62,20 @@ def from_few(
     relative = process.std(nodes) * np.exp(logs[:, LUMINANCE]) / size
     missed = abs(np.maximum(np.exp(process(angles_deg)) - FLOOR, 0) - xyz)
     shape = GRID.shape
-    inside = (abs(angles_deg) <= GRID.high + STEP_DEG / 2).all(axis=1)
-    on_table = np.clip(angles_deg[inside], GRID.low, GRID.high)
     symmetry = "tilts t and -t are one geometry"
     if assume == RECIPROCAL:
         symmetry += ", and so are light and view exchanged"
-    return FromFew(
+    return Derived(
         factors[index].reshape(*shape, -1),
-        relative[index].reshape(shape),
-        nodes_read(GRID, on_table),
+        nodes_read_beside(GRID, angles_deg),
         f"{symmetry} (readings lie {mean_percent(missed, xyz)} off on average)",
+        relative[index].reshape(shape),
     )
 
 
 def _told_apart(nodes_deg: Floats, assume: str) -> tuple[Floats, Ints]:
     """Geometries that are not one by the symmetries, `[K, 3]`, and which of them each node is."""
-    a, r, t = nodes_deg.T
-    s, u = a + r, r - a
+    s, u, t = s_u_t(nodes_deg).T
     turned = np.where(s < 0, -1.0, 1.0)
     s, u, t = s * turned, u * turned, abs(t)
     if assume == RECIPROCAL:

@@ -17,7 +17,7 @@ from raden_torch.arrays import Bools, Floats, Ints
 from raden_torch.errors import InputError
 from raden_torch.reflectance.grid import AngleGrid
 from raden_torch.reflectance.log_readings import FLOOR, LogReadings
-from raden_torch.reflectance.scattered import nodes_read, with_noise
+from raden_torch.reflectance.scattered import nodes_read_beside, with_noise
 
 STEP_DEG = 5.0
 GRID = AngleGrid(
@@ -30,17 +30,19 @@ GRID = AngleGrid(
 
 @dataclass(frozen=True)
 class Derived:
-    """A table at the nodes of `GRID`.
+    """A table at the nodes of a grid, of readings that tell of them by an assumption.
 
     Attributes:
         values: `[A, R, T, C]` reflectance factors.
         measured: `[A, R, T]`, a reading lies within half a step of the node.
         why: what was assumed, how far the readings bear it out, what it reaches; one sentence.
+        std: `[A, R, T]` expected standard deviation of Y over Y; None where it is not known.
     """
 
     values: Floats
     measured: Bools
     why: str
+    std: Floats | None = None
 
 
 def derive(
@@ -78,8 +80,7 @@ def derive(
         f"{mean_percent(missed, xyz)} off on average); {100 * inside.mean():.0f} % of the "
         "nodes lie among these, the others hold the nearest value"
     )
-    inner = (abs(angles_deg) <= GRID.high + STEP_DEG / 2).all(axis=1)
-    return Derived(values.reshape(*GRID.shape, -1), nodes_read(GRID, angles_deg[inner]), why)
+    return Derived(values.reshape(*GRID.shape, -1), nodes_read_beside(GRID, angles_deg), why)
 
 
 def _on_both_sides(readings: LogReadings) -> LogReadings:

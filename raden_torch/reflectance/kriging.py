@@ -152,10 +152,15 @@ class _Part:
         return np.asarray(1 - known + missing**2 / self.weight[self.block].sum(axis=1))
 
 
+def s_u_t(angles_deg: Floats) -> Floats:
+    """`[M, 3]` incidence, receiving and tilt → s = (a + r)/2, u = (r − a)/2 and t, in degrees."""
+    a, r, t = np.asarray(angles_deg, np.float64).T
+    return np.stack([(a + r) / 2, (r - a) / 2, t], axis=1)
+
+
 def ridge_coordinates(angles_deg: Floats) -> Floats:
     """`[M, 3]`: s, u and t in units of the metric."""
-    a, r, t = np.asarray(angles_deg, np.float64).T
-    return np.stack([(a + r) / 2, (r - a) / 2, t], axis=1) / _UNIT_DEG
+    return s_u_t(angles_deg) / _UNIT_DEG
 
 
 def _matern(square: Floats) -> Floats:

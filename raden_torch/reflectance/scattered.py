@@ -73,6 +73,12 @@ def nodes_read(grid: AngleGrid, angles_deg: Floats) -> Bools:
     return read
 
 
+def nodes_read_beside(grid: AngleGrid, angles_deg: Floats) -> Bools:
+    """The same of angles that may lie beyond the box, up to half a step beside its nodes."""
+    near = (abs(angles_deg) <= grid.high + grid.step / 2).all(axis=1)
+    return nodes_read(grid, np.clip(angles_deg[near], grid.low, grid.high))
+
+
 def through_readings(base: Interpolant, readings: LogReadings, beyond: LogReadings) -> Interpolant:
     """A function of the angles that goes through the readings.
 

@@ -22,6 +22,7 @@ import numpy as np
 from raden_torch.arrays import Floats, Ints
 from raden_torch.errors import InputError
 from raden_torch.reflectance.grid import distinct
+from raden_torch.reflectance.kriging import s_u_t
 from raden_torch.reflectance.log_readings import LUMINANCE, LogReadings
 
 ISOTROPIC, RECIPROCAL = "isotropic", "isotropic+reciprocal"
@@ -37,8 +38,7 @@ _IMAGES = {
     RECIPROCAL: _ALL,
 }
 """Signs of (s, u, t) under which a reflectance stays the same."""
-_TYPICAL = np.log([50.0, 16.0, 16.0, 15.0])  # as simulated shells have them
-_DOUBT = 0.5  # of these logarithms: one standard deviation
+_DOUBT = 0.5  # of the logarithms of the usual lengths: one standard deviation
 _BOUNDS = ((2.0, 5.7), (1.0, 5.0), (1.0, 5.0), (0.7, 5.0), (-12.0, 0.0))
 _LEARNT_FROM = 300  # readings: enough for five numbers
 _NUGGET = 1e-8
@@ -48,7 +48,8 @@ _THINNED_FROM_DEG, _GROWING = 1.0, 1.1
 
 @dataclass(frozen=True)
 class Lengths:
-    """Of the covariance, over the process' variance where they are no lengths.
+    """Of the covariance, over the process' variance where they are no lengths; as given here, those
+    that simulated shells have.
 
     Attributes:
         along: `[3]` of s, and of u and t beside the mirror direction, degrees.
@@ -76,11 +77,10 @@ class Lengths:
         return np.asarray(sum(_matern(square.sum(axis=1)) for square in apart), np.float64)
 
     def _places(self, angles_deg: Floats) -> Floats:
-        a, r, t = np.asarray(angles_deg, np.float64).T
-        u = (r - a) / 2
+        s, u, t = s_u_t(angles_deg).T
         off = np.hypot(u, t)
         shorter = self.narrow_deg * np.arcsinh(off / self.narrow_deg) / np.maximum(off, 1e-9)
-        return np.stack([(a + r) / 2, u * shorter, t * shorter], axis=1) / self.along
+        return np.stack([s, u * shorter, t * shorter], axis=1) / self.along
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,11 +162,14 @@ def likely_lengths(readings: LogReadings, assume: str | None) -> Lengths:
 
     some = _some(readings)
 
+    usual = Lengths()
+    typical = np.log([*usual.along, usual.narrow_deg])
+
     def unlikely(logs: Floats) -> float:
-        away = (logs[:4] - _TYPICAL) / _DOUBT
+        away = (logs[:4] - typical) / _DOUBT
         return _minus_log_likelihood(some, _lengths(logs), assume) + 0.5 * float(away @ away)
 
-    start = np.append(_TYPICAL, np.log(1e-4))
+    start = np.append(typical, np.log(usual.noise))
     found = minimize(
         unlikely, start, method="L-BFGS-B", bounds=_BOUNDS, options={"maxiter": 20, "ftol": 1e-4}
     )
@@ -175,8 +178,7 @@ def likely_lengths(readings: LogReadings, assume: str | None) -> Lengths:
 
 def symmetric_images(angles_deg: Floats, assume: str | None) -> Floats:
     """`[N, 3]`: every name of geometries `[M, 3]` under the declared symmetries."""
-    a, r, t = np.asarray(angles_deg, np.float64).T
-    places = np.stack([(a + r) / 2, (r - a) / 2, t], axis=1)
+    places = s_u_t(angles_deg)
     s, u, t = np.concatenate([places * signs for signs in _IMAGES[assume]]).T
     return np.stack([s - u, s + u, t], axis=1)
 

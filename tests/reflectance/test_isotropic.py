@@ -100,6 +100,15 @@ def test_one_side_is_as_good_as_two() -> None:
     assert "tilts t and -t are one geometry (readings lie 0 % off their mean)" in str(report)
 
 
+def test_a_reading_past_the_last_node_is_that_node_s() -> None:
+    """Encoders read a little past it; it is not the geometry on the other side."""
+    forward = PLANE[PLANE[:, 1] >= 0]
+    past = forward + [0.04, 0, 0] * (forward[:, :1] == 70)
+    found, wanted = (derive(measured(angles, lobe(angles))) for angles in (past, forward))
+    assert (found.measured == wanted.measured).all()
+    assert found.measured[-1].any()
+
+
 def test_readings_that_contradict_the_assumption_say_so() -> None:
     m = BrdfMeasurement(
         [30.0, 30.0], [20.0, 20.0], [10.0, -10.0], np.array([[90.0], [110.0]]) * np.ones(3)

@@ -97,6 +97,17 @@ def test_a_fit_takes_them_and_says_what_is_known() -> None:
     assert box["a"] == (0.0, 80.0)
 
 
+def test_a_grid_as_encoders_read_it_stays_a_grid() -> None:
+    """Angles up to 0.05 degrees beside the nodes are taken as on them, also under an assumption."""
+    deg = np.mgrid[0:71:10, -70:71:10, -70:71:10].reshape(3, -1).T
+    beside = deg + np.random.default_rng(3).uniform(-0.03, 0.03, deg.shape)
+    beside[:, 0] = abs(beside[:, 0])
+    values = np.full((len(deg), 3), 90.0)
+    report = rt.fit(rt.BrdfMeasurement(*beside.T, values), assume=ISOTROPIC).report
+    assert np.isnan(report.hemisphere.expected_error)
+    assert any("off a grid were taken as on it" in warning for warning in report.warnings)
+
+
 def test_a_plane_or_a_view_is_not_all_around() -> None:
     plane = np.stack([*np.meshgrid(np.arange(0, 70, 10.0), np.arange(-70, 71, 10.0))], -1)
     plane = np.c_[plane.reshape(-1, 2), np.zeros(plane[..., 0].size)]

@@ -101,12 +101,16 @@ def tabulate(
     _check_values(measurement)
     known, angles = _readings(measurement, channels)
     both, assumption = with_opposite_tilts(measurement)
-    if all_around(known.angles_deg) and _nodes(both) is None:
-        return _from_few(measurement, channels, assume)
+    if all_around(known.angles_deg) and _evenly(both)[0] is None:
+        factors, std = channels.factors_of(measurement)
+        few = from_few(known.angles_deg, factors, std, known.count, assume=assume)
+        return _of_derived(measurement, known, angles, channels, HEMISPHERE, few)
     _check_coverage(measurement)
     table = None if _single_valued(both) else _tabulated(both, channels)
     if table is None or table.without_neighbour.mean() > _MOSTLY:
-        return _derived(measurement, channels)
+        factors, std = channels.factors_of(measurement)
+        derived = derive(known.angles_deg, factors, std, known.count)
+        return _of_derived(measurement, known, angles, channels, GRID, derived)
     on_table = np.clip(known.angles_deg, table.grid.low, table.grid.high)  # encoders read past it
     read = nodes_read(table.grid, on_table)
     return replace(
@@ -129,11 +133,9 @@ def _tabulated(measurement: BrdfMeasurement, channels: Channels) -> Tabulated:
         )
     every, warnings = channels.of(measurement)
     known, angles = _readings(measurement, channels)
-    nodes = _nodes(every)
-    if nodes is None:
-        nodes, off_deg = _near_nodes(every)
-        if nodes is not None:
-            warnings.append(f"angles up to {off_deg:.2g} deg off a grid were taken as on it")
+    nodes, off_deg = _evenly(every)
+    if off_deg > 0:
+        warnings.append(f"angles up to {off_deg:.2g} deg off a grid were taken as on it")
     scattered = None
     if nodes is None:
         grid = AngleGrid.around(known.angles_deg, SCATTERED_STEP_DEG)
@@ -172,8 +174,11 @@ def _nodes(every: BrdfMeasurement) -> ReadingGrid | None:
     return nodes if nodes is not None and nodes.measured.mean() >= _MOSTLY else None
 
 
-def _near_nodes(every: BrdfMeasurement) -> tuple[ReadingGrid | None, float]:
-    """The same of angles as encoders read them, a little beside the nodes; how far at most."""
+def _evenly(every: BrdfMeasurement) -> tuple[ReadingGrid | None, float]:
+    """The same, also of angles as encoders read them, beside the nodes; how far at most."""
+    nodes = _nodes(every)
+    if nodes is not None:
+        return nodes, 0.0
     for decimals in _ROUNDED_TO:
         rounded = np.round(every.angles_deg, decimals).T
         try:
@@ -192,18 +197,14 @@ def _near_nodes(every: BrdfMeasurement) -> tuple[ReadingGrid | None, float]:
     return None, 0.0
 
 
-def _derived(measurement: BrdfMeasurement, channels: Channels) -> Tabulated:
-    """From readings of one plane or one view of an isotropic sample."""
-    known, _ = _readings(measurement, channels)
-    factors, std = channels.factors_of(measurement)
-    derived = derive(known.angles_deg, factors, std, known.count)
-    return _of_derived(measurement, channels, GRID, derived)
-
-
 def _of_derived(
-    measurement: BrdfMeasurement, channels: Channels, grid: AngleGrid, derived: Derived
+    measurement: BrdfMeasurement,
+    known: BrdfMeasurement,
+    angles: tuple[Floats, Floats, Floats],
+    channels: Channels,
+    grid: AngleGrid,
+    derived: Derived,
 ) -> Tabulated:
-    known, angles = _readings(measurement, channels)
     values = channels.f_r(derived.values)
     none = np.zeros_like(derived.measured)
     return Tabulated(
@@ -223,16 +224,8 @@ def _of_derived(
         assumption=derived.why,
         warnings=tuple(channels.of(measurement)[1]),
         channels=channels,
+        std=derived.std,
     )
-
-
-def _from_few(measurement: BrdfMeasurement, channels: Channels, assume: str) -> Tabulated:
-    """From few readings in all directions, under the symmetries that were declared."""
-    known, _ = _readings(measurement, channels)
-    factors, std = channels.factors_of(measurement)
-    found = from_few(known.angles_deg, factors, std, known.count, assume=assume)
-    derived = Derived(found.values, found.measured, found.why)
-    return replace(_of_derived(measurement, channels, HEMISPHERE, derived), std=found.std)
 
 
 def _check_readings(measurement: BrdfMeasurement) -> None:
