@@ -93,6 +93,22 @@ class Ball:
         return np.hypot(x - self.x_px, y - self.y_px) <= share * self.radius_px
 
 
+def outline_moves(
+    centre: Floats, radius: float, radius_px: float, std_px: float, *, is_near: bool
+) -> list[tuple[Floats, float]]:
+    """A ball's centre and radius, moved by one standard deviation of each error that its outline
+    may have: to the right, up, and in size.
+
+    Args:
+        is_near: it is seen by a camera, and its radius is known: in size means nearer.
+    """
+    shift = std_px * radius / radius_px
+    moved = [(centre + shift * axis, radius) for axis in np.eye(3)[:2]]
+    if is_near:
+        return [*moved, (centre * (1 - std_px / radius_px), radius)]
+    return [*moved, (centre, radius + shift)]
+
+
 def ball_from_mask(
     mask: NDArray[Any],
     *,

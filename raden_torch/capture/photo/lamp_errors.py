@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.ball import Ball
+from raden_torch.capture.photo.ball import Ball, outline_moves
 from raden_torch.capture.photo.highlight import Highlight
 from raden_torch.capture.photo.lamps import Lamps, lamps_from_balls
 
@@ -62,10 +62,7 @@ def _moved(
 
 
 def _moved_ball(ball: Ball) -> list[Ball]:
-    """By its standard deviation to the right, up, and in size (with a camera, nearer)."""
-    std = ball.std_px
-    pixel = ball.radius / ball.radius_px
-    moved = [replace(ball, centre=ball.centre + std * pixel * axis) for axis in np.eye(3)[:2]]
-    if ball.matrix is None:
-        return [*moved, replace(ball, radius=ball.radius + std)]
-    return [*moved, replace(ball, centre=ball.centre * (1 - std / ball.radius_px))]
+    """By its standard deviation."""
+    is_near = ball.matrix is not None
+    moves = outline_moves(ball.centre, ball.radius, ball.radius_px, ball.std_px, is_near=is_near)
+    return [replace(ball, centre=centre, radius=radius) for centre, radius in moves]

@@ -17,6 +17,7 @@ from msgspec import Meta, Struct
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.ball import Ball
+from raden_torch.capture.photo.directions import apart_deg
 from raden_torch.capture.photo.highlight import Highlight
 from raden_torch.capture.photo.result_file import read_result, write_result
 from raden_torch.errors import InputError
@@ -178,8 +179,7 @@ def lamps_from_balls(
     lamps = Lamps(mean, np.ones(len(mean)), unit=unit, names=names, matrix=balls[0].matrix)
     if len(balls) == 1:
         return lamps
-    difference, total = (np.linalg.norm(direction + k * mean[:, None], axis=-1) for k in (-1, 1))
-    apart = np.rad2deg(2 * np.arctan2(difference, total)).max(1)
+    apart = apart_deg(direction, mean[:, None]).max(1)
     if float(np.median(apart)) < _PARALLEL_DEG:
         note = (
             f"the balls see the lamps {np.median(apart):.2f} degrees apart: they are too far "

@@ -19,6 +19,7 @@ from raden_torch.capture.photo.brdf.rays import Y_UP
 from raden_torch.capture.photo.brdf.sample_shapes import Shape, fibonacci_sphere
 from raden_torch.capture.photo.brdf.seen_surface import LEAST_COSINE
 from raden_torch.capture.photo.camera import Camera, Pose
+from raden_torch.capture.photo.directions import apart_deg
 
 _LAMPS, _CAMERAS = 500, 60
 """Directions over the whole sphere that are tried: about 9 and 26 degrees apart."""
@@ -139,7 +140,7 @@ class _Scene:
         for eye in eyes:
             towards = self._to_eye() if eye is None else eye
             for lamp in fibonacci_sphere(_LAMPS if len(eyes) == 1 else _LAMPS // 2):
-                apart = _apart_deg(lamp, towards)
+                apart = float(apart_deg(lamp, towards))
                 if _BESIDE_DEG < apart < _BEHIND_DEG:
                     found.append((lamp, eye))
         return found
@@ -213,7 +214,3 @@ def _direction(v: Floats) -> str:
     away = np.degrees(np.arctan2(np.hypot(v[0], v[1]), v[2]))
     turn = np.degrees(np.arctan2(v[1], v[0]))
     return f"{away:.0f} deg towards {turn:.0f} deg"
-
-
-def _apart_deg(a: Floats, b: Floats) -> float:
-    return float(np.degrees(2 * np.arctan2(np.linalg.norm(a - b), np.linalg.norm(a + b))))

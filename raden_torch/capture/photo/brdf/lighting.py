@@ -12,6 +12,7 @@ from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
 from raden_torch.capture.photo.brdf.rays import MM, Y_UP
 from raden_torch.capture.photo.brdf.shots import Shot
 from raden_torch.capture.photo.camera import Camera, Pose
+from raden_torch.capture.photo.directions import directions_across
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.errors import InputError
 
@@ -114,13 +115,6 @@ def lamps_of_shots(
             std_deg = LAMP_STD_DEG if lamps.std_deg is None else float(lamps.std_deg[k])
         found.append(Lamp(direction, position, rgb, std_deg, across, k))
     return found
-
-
-def directions_across(direction: Floats) -> Floats:
-    """`[2, 3]` unit vectors across a direction and each other."""
-    first = np.cross(direction, np.eye(3)[int(np.argmin(abs(direction)))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
 
 
 def _moved(vector: Floats, before: Pose, after: Pose, *, point: bool = True) -> Floats:

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from raden_torch.arrays import Floats
+from raden_torch.capture.photo.ball import outline_moves
 from raden_torch.capture.photo.brdf.rays import projected
 from raden_torch.capture.photo.brdf.sample_shapes import Cylinder, Shape, Sphere
 from raden_torch.capture.photo.camera import Camera
@@ -28,14 +29,10 @@ def moved_shapes(shape: Shape, camera: Camera | None, std_px: float) -> list[Sha
     if std_px == 0 or not isinstance(shape, Sphere | Cylinder):
         return []
     if isinstance(shape, Sphere):
-        pixel, nearer = _pixel(shape.centre, shape.radius, camera)
-        shift = std_px * pixel
-        moved: list[Shape] = [
-            replace(shape, centre=shape.centre + shift * axis) for axis in np.eye(3)[:2]
-        ]
-        if camera is None:
-            return [*moved, replace(shape, radius=shape.radius + std_px)]
-        return [*moved, replace(shape, centre=shape.centre * (1 - std_px * nearer))]
+        radius_px = _radius_px(shape.centre, shape.radius, camera)
+        is_near = camera is not None
+        moves = outline_moves(shape.centre, shape.radius, radius_px, std_px, is_near=is_near)
+        return [replace(shape, centre=centre, radius=radius) for centre, radius in moves]
     return _moved_rods(shape, camera, std_px)
 
 
@@ -45,16 +42,16 @@ def _moved_rods(rod: Cylinder, camera: Camera | None, std_px: float) -> list[Sha
     sight = np.array([0.0, 0.0, -1.0]) if camera is None else middle / np.linalg.norm(middle)
     across = np.cross(rod.axis, sight)
     across /= np.linalg.norm(across)
-    pixel, nearer = _pixel(middle, rod.radius, camera)
+    radius_px = _radius_px(middle, rod.radius, camera)
     # two edges, each wrong by itself: their mean and half their distance by 1/√2
-    shift = std_px * pixel / np.sqrt(2)
+    shift = std_px * rod.radius / radius_px / np.sqrt(2)
     moved: list[Shape] = [
         replace(rod, point=rod.point + shift * across),
         _turned(rod, middle, 2 * shift / length * across),
     ]
     if camera is None:
         return [*moved, replace(rod, radius=rod.radius + std_px / np.sqrt(2))]
-    depth = std_px / np.sqrt(2) * nearer * float(np.linalg.norm(middle))
+    depth = std_px / np.sqrt(2) / radius_px * float(np.linalg.norm(middle))
     along = sight - (sight @ rod.axis) * rod.axis
     return [
         *moved,
@@ -71,11 +68,9 @@ def _turned(rod: Cylinder, middle: Floats, lean: Floats) -> Cylinder:
     return replace(rod, point=middle - half * axis, axis=axis)
 
 
-def _pixel(middle: Floats, radius: float, camera: Camera | None) -> tuple[float, float]:
-    """The length of a pixel across the line of sight at the sample, and the share of its distance
-    by which it is nearer where its outline's radius is a pixel larger."""
+def _radius_px(middle: Floats, radius: float, camera: Camera | None) -> float:
+    """The sample's radius in the picture."""
     if camera is None:
-        return 1.0, 0.0
+        return radius
     there = projected(camera, np.stack([middle, middle + radius * np.eye(3)[0]]))
-    radius_px = float(np.linalg.norm(there[1] - there[0]))
-    return radius / radius_px, 1 / radius_px
+    return float(np.linalg.norm(there[1] - there[0]))

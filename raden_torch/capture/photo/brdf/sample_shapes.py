@@ -9,6 +9,7 @@ import numpy as np
 
 from raden_torch.arrays import Bools, Floats
 from raden_torch.capture.photo.brdf.rays import Rays
+from raden_torch.capture.photo.directions import directions_across
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +182,7 @@ class Cylinder:
         around = max(8, round(np.sqrt(count * 2 * np.pi * self.radius / length)))
         along = max(2, round(count / around))
         turn = 2 * np.pi * (np.arange(around) + 0.5) / around
-        first = np.cross(self.axis, np.eye(3)[np.argmin(abs(self.axis))])
-        first /= np.linalg.norm(first)
-        second = np.cross(self.axis, first)
+        first, second = directions_across(self.axis)
         ring = np.cos(turn)[:, None] * first + np.sin(turn)[:, None] * second
         place = self.reach[0] + length * (np.arange(along) + 0.5) / along
         normal = np.repeat(ring, along, axis=0)
