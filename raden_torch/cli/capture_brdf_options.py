@@ -162,8 +162,5 @@ class ResultOptions:
 
     def grid(self) -> CellGrid:
         from raden_torch.capture.photo.brdf.photo_cells import CellGrid
-        from raden_torch.capture.photo.capture_brdf import SCATTERED_TO_DEG
 
-        return (
-            CellGrid(self.step_deg, SCATTERED_TO_DEG) if self.scattered else CellGrid(self.step_deg)
-        )
+        return CellGrid.reaching(self.step_deg, scattered=self.scattered)

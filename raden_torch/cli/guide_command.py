@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from raden_torch.capture.photo.guide.piece import Piece
     from raden_torch.capture.photo.guide.plan import Plan
     from raden_torch.capture.photo.guide.set_up import SetUp
-    from raden_torch.measurement import BrdfMeasurement
 
 _SUFFIXES = (".json", ".csv", ".png")
 
@@ -30,7 +29,8 @@ class PieceOptions:
     shape: Literal["plane", "cylinder", "sphere"] = "plane"
     """flat, bent round a rod, or convex"""
     size: SizeMm = (100.0, 80.0)
-    """width and height of a flat piece in mm; length and width of a bent one"""
+    """width and height of a flat piece in mm; of a bent one the first is its length, the other does
+    not count"""
     radius_mm: float | None = None
     """radius of a cylinder or sphere in mm"""
     tilt: tuple[float, ...] = ()
@@ -107,11 +107,12 @@ def guide(
     set_up: SetUpOptions = SetUpOptions(),
     as_json: AsJson = False,
 ) -> None:
+    from raden_torch.capture.exchange import load_measurement
     from raden_torch.capture.photo.guide.plan import plan_photographs
 
     _check_outputs(output, measured)
     what = piece.piece
-    known = None if measured is None else _measurement(measured)
+    known = None if measured is None else load_measurement(measured)
     with progress("choosing where lamp and camera stand") as share_done:
         plan = plan_photographs(
             what,
@@ -146,12 +147,6 @@ def _check_outputs(paths: tuple[Path, ...], measured: Path | None) -> None:
     for path in paths:
         check_output(path, _SUFFIXES)
     check_outputs(*paths, inputs=() if measured is None else (measured,))
-
-
-def _measurement(path: Path) -> BrdfMeasurement:
-    from raden_torch.capture.exchange import load_measurement
-
-    return load_measurement(path)
 
 
 def _write(plan: Plan, path: Path, made_from: tuple[Path, ...]) -> None:

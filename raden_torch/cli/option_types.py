@@ -176,13 +176,17 @@ def _squares(text: str) -> tuple[int, int]:
 
 def _points(text: str) -> Points:
     """None at all if the text is something else."""
+    points = _tuples(text)
+    return tuple((x, y) for x, y in points) if {len(p) for p in points} == {2} else ()
+
+
+def _tuples(text: str) -> list[tuple[float, ...]]:
+    """Finite numbers with commas, between spaces; none at all if the text is something else."""
     try:
-        points = [[float(n) for n in part.split(",")] for part in text.split()]
+        found = [tuple(float(n) for n in part.split(",")) for part in text.split()]
     except ValueError:
-        return ()
-    if not all(len(point) == 2 and isfinite(sum(point)) for point in points):
-        return ()
-    return tuple((x, y) for x, y in points)
+        return []
+    return found if all(isfinite(sum(point)) for point in found) else []
 
 
 def _corners_px(text: str) -> Points:
@@ -203,12 +207,8 @@ def _region(text: str) -> Points:
 
 def _raised_region(text: str) -> tuple[tuple[float, ...], ...]:
     """x,y of each corner, or x,y,height."""
-    try:
-        points = [tuple(float(n) for n in part.split(",")) for part in text.split()]
-    except ValueError:
-        points = []
-    sizes = {len(point) for point in points}
-    if len(points) < 3 or sizes not in ({2}, {3}) or not all(isfinite(sum(p)) for p in points):
+    points = _tuples(text)
+    if len(points) < 3 or {len(point) for point in points} not in ({2}, {3}):
         raise ValueError(
             'expected three or more points in metres, as "0.05,0.05 0.1,0.05", or, with heights '
             f'over the board, "0.05,0.05,0.01", got {text}'

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.guide.plan import Plan
-from raden_torch.capture.photo.guide.set_up import HAND, Stance
+from raden_torch.capture.photo.guide.set_up import from_polar
 from raden_torch.plots.plot_style import INK, SMALL, TEXT, UNMEASURED, families, printable
+from raden_torch.reflectance.few_readings import GRID
 from raden_torch.reflectance.symmetric_kriging import symmetric_images
 
 _LAMP, _CAMERA, _PIECE = "#e0902a", "#2f6db0", "#9aa0a6"
 _SLABS_DEG = (10, 30, 50, 70)
-_LIMIT_DEG, _STEP_DEG = 80, 5
 _DPI = 110
 _MOST_NUMBERS = 40
 
@@ -44,8 +44,15 @@ def draw_plan(plan: Plan) -> Figure:
 
 def _draw_places(ax: Axes, plan: Plan, *, up: int, title: str) -> None:
     """Over the table, in the frame of its instructions; `up` is the axis that points up."""
-    lamps, cameras = (np.array([_over_table(s, which) for s in plan.stances])
-                      for which in ("lamp", "camera"))  # fmt: skip
+    of_lamp = [
+        (s.lamp_from_vertical_deg, s.lamp_azimuth_deg, s.lamp_distance_mm / 10)
+        for s in plan.stances
+    ]
+    of_camera = [
+        (s.camera_from_vertical_deg, s.camera_azimuth_deg, s.camera_distance_mm / 10)
+        for s in plan.stances
+    ]
+    lamps, cameras = (from_polar(*np.array(polar).T) for polar in (of_lamp, of_camera))
     width, height = (size / 10 for size in plan.piece.size_mm)
     if up == 1:
         corner, shown = (-width / 2, -height / 2), (width, height)
@@ -61,8 +68,8 @@ def _draw_places(ax: Axes, plan: Plan, *, up: int, title: str) -> None:
         for place, numbers in _numbers(places[:, [0, up]]):
             ax.annotate(numbers, place, xytext=(3, 2), textcoords="offset points",
                         fontsize=SMALL - 2, color=colour)  # fmt: skip
-    start = {HAND: "mark"}.get(plan.set_up.kind, "camera's side")
-    ax.set_xlabel(f"0 deg: the {start} →" if up == 1 else "", fontsize=SMALL)
+    start = f"0 deg: {plan.set_up.azimuth_from} →"
+    ax.set_xlabel(start if up == 1 else "", fontsize=SMALL)
     ax.set_title(title, fontsize=SMALL, color=INK)
     ax.set_aspect("equal", adjustable="box")
     reach = 1.08 * float(np.linalg.norm(np.concatenate([lamps, cameras]), axis=1).max())
@@ -71,20 +78,6 @@ def _draw_places(ax: Axes, plan: Plan, *, up: int, title: str) -> None:
     ax.tick_params(labelsize=SMALL - 1, length=2)
     if up == 1:
         ax.legend(fontsize=SMALL - 1, loc="upper left", frameon=False)
-
-
-def _over_table(stance: Stance, which: str) -> tuple[float, float, float]:
-    """x, y, z in cm."""
-    polar, azimuth = (
-        np.radians(getattr(stance, f"{which}_{part}"))
-        for part in ("from_vertical_deg", "azimuth_deg")
-    )
-    far = getattr(stance, f"{which}_distance_mm") / 10
-    return (
-        far * float(np.sin(polar) * np.cos(azimuth)),
-        far * float(np.sin(polar) * np.sin(azimuth)),
-        far * float(np.cos(polar)),
-    )
 
 
 def _numbers(places: Floats) -> list[tuple[tuple[float, float], str]]:
@@ -113,34 +106,30 @@ def _draw_filling(figure: Any, plan: Plan) -> None:
     """Which photograph reads each cell first, with what the declared symmetries say of it."""
     table = first_photograph(plan)
     axes = figure.subplots(1, len(_SLABS_DEG), sharey=True)
-    edge = _LIMIT_DEG + _STEP_DEG / 2
-    shown = None
+    edge = GRID.high[2] + GRID.step[2] / 2
     for ax, incidence in zip(axes, _SLABS_DEG, strict=True):
         ax.set_facecolor(UNMEASURED)
-        slab = np.ma.masked_less(table[incidence // _STEP_DEG].T, 0)
+        slab = np.ma.masked_less(table[GRID.incidence_deg == incidence][0].T, 0)
         shown = ax.imshow(slab, extent=(-edge, edge, -edge, edge), origin="lower",
-                          cmap="viridis_r", vmin=0, vmax=max(len(plan.stances), 1))  # fmt: skip
+                          cmap="viridis_r", vmin=0, vmax=len(plan.stances))  # fmt: skip
         ax.axvline(incidence, color="white", linewidth=0.8, linestyle=(0, (4, 2)))
         ax.set_title(f"incidence {incidence}°", fontsize=SMALL, color=INK, pad=3)
         ax.set_xlabel("receiving (°)", fontsize=SMALL)
         ax.tick_params(labelsize=SMALL - 1, length=2)
     axes[0].set_ylabel("tilt (°)", fontsize=SMALL)
-    if shown is not None:
-        bar = figure.colorbar(shown, ax=list(axes), shrink=0.85, aspect=25, pad=0.01)
-        bar.set_label("read first by photograph (0: before)", fontsize=SMALL)
-        bar.locator = MaxNLocator(integer=True)
-        bar.update_ticks()
-        bar.ax.tick_params(labelsize=SMALL - 1)
+    bar = figure.colorbar(shown, ax=list(axes), shrink=0.85, aspect=25, pad=0.01)
+    bar.set_label("read first by photograph (0: before)", fontsize=SMALL)
+    bar.locator = MaxNLocator(integer=True)
+    bar.update_ticks()
+    bar.ax.tick_params(labelsize=SMALL - 1)
 
 
 def first_photograph(plan: Plan) -> NDArray[np.int64]:
-    """`[A, R, T]` on steps of 5 degrees to 80: the photograph, from 1, that reads a cell first; 0
-    what was read before, −1 nothing."""
-    side = _LIMIT_DEG // _STEP_DEG
-    table = np.full((side + 1, 2 * side + 1, 2 * side + 1), -1, np.int64)
+    """`[A, R, T]` at the nodes of `GRID`: the photograph, from 1, that reads a cell first; 0 what
+    was read before, −1 nothing."""
+    table = np.full(GRID.shape, -1, np.int64)
     for number, angles in reversed(list(enumerate([plan.known, *plan.readings]))):
-        images = symmetric_images(angles, plan.assume)
-        node = np.rint(images / _STEP_DEG).astype(int)
-        node = node[(node[:, 0] >= 0) & (abs(node) <= side).all(axis=1)]
-        table[node[:, 0], node[:, 1] + side, node[:, 2] + side] = number
+        node = np.rint(GRID.positions(symmetric_images(angles, plan.assume))).astype(int)
+        node = node[((node >= 0) & (node < GRID.shape)).all(axis=1)]
+        table[tuple(node.T)] = number
     return table

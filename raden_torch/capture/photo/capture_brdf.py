@@ -44,8 +44,6 @@ from raden_torch.measurement.readings import LEAST_COVERAGE
 from raden_torch.measurement.systematic_errors import SystematicErrors
 
 Progress = Callable[[float], None]
-SCATTERED_TO_DEG = 80.0
-"""The last node of the cells that scattered readings are gathered in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +125,7 @@ def capture_brdf(
             other beyond their uncertainty, or, not scattered, a coverage below 5 %. The message
             names the file.
     """
-    grid = grid or (CellGrid(limit_deg=SCATTERED_TO_DEG) if scattered else CellGrid())
+    grid = grid or CellGrid.reaching(scattered=scattered)
     series = read_series(photographs, setup)
     unplanned = None if plan is None else check_planned(plan, series, sample)
     warned = _raised_or_warned([unplanned], go_on=go_on)

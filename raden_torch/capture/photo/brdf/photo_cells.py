@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from raden_torch.arrays import Floats, Ints
 from raden_torch.errors import InputError
 
+_SCATTERED_TO_DEG = 80.0
+"""The last node of the cells that scattered readings are gathered in."""
 MAX_CELLS = 2_000_000
 
 
@@ -43,6 +45,11 @@ class CellGrid:
                 f"grid: expected at most {MAX_CELLS} cells, got {self.cells} by steps of "
                 f"{self.step_deg:g} degrees; take a coarser step"
             )
+
+    @classmethod
+    def reaching(cls, step_deg: float = 5.0, *, scattered: bool) -> CellGrid:
+        """As far as readings count: scattered ones, which need no neighbours, further."""
+        return cls(step_deg, _SCATTERED_TO_DEG) if scattered else cls(step_deg)
 
     @property
     def side(self) -> int:

@@ -1,9 +1,10 @@
 """Which stances tell most: the hemisphere's expected error, photograph by photograph.
 
 What readings tell of a geometry that nobody read is the standard deviation of the process in
-`reflectance.symmetric_kriging`, which depends on the readings' angles alone. The stance whose
-readings lower its mean over the hemisphere most is taken, then the next (greedy). Stances are
-ranked by the one geometry amid their readings; the best are tried with all of them.
+`reflectance.symmetric_kriging`, which depends on the readings' angles alone where its lengths and
+variance are given. The stance whose readings lower its mean over the hemisphere most is taken, then
+the next (greedy). Stances are ranked by a few geometries that stand for them; the best are tried
+with more of their readings.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from raden_torch.reflectance.symmetric_kriging import Lengths
 HEMISPHERE_DEG = 80.0
 _QUERIES, _TRIED, _SHOWN = 500, 16, 8
 """Pairs of directions; stances tried with all readings; geometries that stand for a stance."""
+_THINNED = 24
+"""Readings of a photograph, at most."""
 _NOISE = 1e-3
 """Of a reading, over the process' variance: a shell is not even, nor is a lamp's place known."""
 
@@ -44,15 +47,19 @@ class Knowledge:
 
     Args:
         shown: `[N, 3]` geometries that may be read, each a column of `shared`.
+        most: readings that may be added, in all.
     """
 
-    def __init__(self, lengths: Lengths, assume: str | None, queries: Floats, shown: Floats):
+    def __init__(
+        self, lengths: Lengths, assume: str | None, queries: Floats, shown: Floats, most: int
+    ) -> None:
         self._lengths, self._assume = lengths, assume
         self._places = np.concatenate([queries, shown])
         self._count = len(queries)
-        self._read = np.zeros((0, 3))
-        self._rows = np.zeros((0, len(self._places)))
-        self._factor = np.zeros((0, 0))
+        self._size = 0
+        self._all_read = np.zeros((most, 3))
+        self._all_rows = np.zeros((most, len(self._places)))
+        self._whole_factor = np.zeros((most, most))
         self.left = lengths.variance(self._places, assume)
         self.shared = lengths(queries, shown, assume)
 
@@ -64,22 +71,19 @@ class Knowledge:
     def add(self, angles: Floats) -> None:
         """Readings `[P, 3]`."""
         new, own = self._columns(angles)
-        between = self._lengths(angles, self._places, self._assume) - new.T @ self._rows
-        rows = np.linalg.solve(own, between)
+        rows = self._told(angles, new, own, len(self._places))
         self.left = self.left - (rows**2).sum(axis=0)
         self.shared = self.shared - rows[:, : self._count].T @ rows[:, self._count :]
-        self._rows = np.concatenate([self._rows, rows])
-        self._read = np.concatenate([self._read, angles])
-        size = len(self._factor)
-        factor = np.zeros((size + len(angles),) * 2)
-        factor[:size, :size], factor[size:, :size], factor[size:, size:] = self._factor, new.T, own
-        self._factor = factor
+        before, after = self._size, self._size + len(angles)
+        self._all_rows[before:after] = rows
+        self._all_read[before:after] = angles
+        self._whole_factor[before:after, :before] = new.T
+        self._whole_factor[before:after, before:after] = own
+        self._size = after
 
     def gain(self, angles: Floats) -> float:
         """By how much the queries' mean standard deviation would fall with readings `[P, 3]`."""
-        new, own = self._columns(angles)
-        between = self._lengths(angles, self._places[: self._count], self._assume)
-        rows = np.linalg.solve(own, between - new.T @ self._rows[:, : self._count])
+        rows = self._told(angles, *self._columns(angles), self._count)
         after = self.left[: self._count] - (rows**2).sum(axis=0)
         return float((self.std - np.sqrt(np.maximum(after, 0))).mean())
 
@@ -94,12 +98,17 @@ class Knowledge:
         from scipy.linalg import solve_triangular
 
         inner = self._lengths(angles, angles, self._assume) + _NOISE * np.eye(len(angles))
-        if not len(self._read):
+        if not self._size:
             return np.zeros((0, len(angles))), np.asarray(np.linalg.cholesky(inner), np.float64)
-        new = solve_triangular(
-            self._factor, self._lengths(self._read, angles, self._assume), lower=True
-        )
+        read, factor = self._all_read[: self._size], self._whole_factor[: self._size, : self._size]
+        new = solve_triangular(factor, self._lengths(read, angles, self._assume), lower=True)
         return new, np.asarray(np.linalg.cholesky(inner - new.T @ new), np.float64)
+
+    def _told(self, angles: Floats, new: Floats, own: Floats, places: int) -> Floats:
+        """The rows that readings add, at the first of the places; `new` and `own` of `_columns`."""
+        between = self._lengths(angles, self._places[:places], self._assume)
+        known = new.T @ self._all_rows[: self._size, :places]
+        return np.asarray(np.linalg.solve(own, between - known), np.float64)
 
 
 def most_telling(
@@ -125,7 +134,8 @@ def most_telling(
     """
     useful = np.array([k for k, angles in enumerate(readings) if len(angles)], np.intp)
     shown, owner = _shown([readings[k] for k in useful])
-    state = Knowledge(lengths, assume, hemisphere_deg(), shown)
+    most = len(known) + _THINNED * min(count, len(useful))
+    state = Knowledge(lengths, assume, hemisphere_deg(), shown, most)
     if len(known):
         state.add(known)
     chosen: list[int] = []
@@ -153,8 +163,8 @@ def _shown(readings: Sequence[Floats]) -> tuple[Floats, Ints]:
 
 
 def _thinned(angles: Floats) -> Floats:
-    """At most 24 of a photograph's readings: neighbours tell the same."""
-    return _spread(angles, 24)
+    """Some of a photograph's readings: neighbours tell the same."""
+    return _spread(angles, _THINNED)
 
 
 def _spread(angles: Floats, count: int) -> Floats:

@@ -51,7 +51,9 @@ class Piece:
         _check(width_mm, "width")
         _check(height_mm, "height")
         if any(abs(tilt) > 60 for tilt in tilts_deg):
-            raise InputError(f"piece: tilt: expected at most 60 deg, got {max(tilts_deg):g} deg")
+            raise InputError(
+                f"piece: tilt: expected at most 60 deg, got {max(tilts_deg, key=abs):g} deg"
+            )
         half = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
         half *= np.array([width_mm, height_mm, 0]) / 2
         planes = []

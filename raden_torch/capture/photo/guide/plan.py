@@ -10,7 +10,7 @@ import numpy as np
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.guide.choice import most_telling
 from raden_torch.capture.photo.guide.piece import Piece
-from raden_torch.capture.photo.guide.set_up import HAND, TURNTABLE, SetUp, Stance, stances
+from raden_torch.capture.photo.guide.set_up import HAND, STILL, TURNTABLE, SetUp, Stance, stances
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement
 from raden_torch.reflectance.log_readings import LogReadings
@@ -54,7 +54,7 @@ class Plan:
 
     def instructions(self) -> list[str]:
         """One line a photograph."""
-        return [f"{k + 1:3d}. {_said(s, self.set_up)}" for k, s in enumerate(self.stances)]
+        return [f"{k + 1:3d}. {said(s, self.set_up)}" for k, s in enumerate(self.stances)]
 
     def forecast(self) -> str:
         before, after = 100 * self.expected[0], 100 * self.expected[-1]
@@ -89,17 +89,9 @@ def plan_photographs(
     """
     if not 1 <= count <= MOST:
         raise InputError(f"count: expected 1 to {MOST} photographs, got {count}")
-    if set_up.kind != HAND and len(piece.tilts_deg) > 1 and set_up.kind == TURNTABLE:
+    if set_up.kind == TURNTABLE and len(piece.tilts_deg) > 1:
         raise InputError("turntable: expected one piece, which wedges lean, got several on wedges")
-    if (
-        piece.shape == "plane"
-        and piece.tilts_deg == (0.0,)
-        and set_up.kind
-        not in (
-            HAND,
-            TURNTABLE,
-        )
-    ):
+    if piece.shape == "plane" and piece.tilts_deg == (0.0,) and set_up.kind == STILL:
         raise InputError(
             "set_up: expected the camera or the piece moved (hand or turntable), since a flat "
             f"piece shows one place of the camera too little, got {set_up.kind!r}"
@@ -140,13 +132,12 @@ def _known(measured: BrdfMeasurement | None, assume: str | None) -> tuple[Floats
     return angles[rows], likely_lengths(logs, assume), float(np.sqrt(logs.spread))
 
 
-def _said(stance: Stance, set_up: SetUp) -> str:
+def said(stance: Stance, set_up: SetUp) -> str:
     """What a person with a protractor and a tape does."""
-    start = "from the mark" if set_up.kind == HAND else "from the camera's side"
     lamp = (
         f"lamp {stance.lamp_from_vertical_deg:.0f} deg from the vertical, "
-        f"{stance.lamp_azimuth_deg:.0f} deg round {start}, {stance.lamp_distance_mm / 10:.0f} cm "
-        "away"
+        f"{stance.lamp_azimuth_deg:.0f} deg round from {set_up.azimuth_from}, "
+        f"{stance.lamp_distance_mm / 10:.0f} cm away"
     )
     if set_up.kind == HAND:
         camera = (

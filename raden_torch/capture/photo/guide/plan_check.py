@@ -9,14 +9,15 @@ import numpy as np
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.capture_settings import SampleSpec
 from raden_torch.capture.photo.brdf.photo_series import PhotoSeries
-from raden_torch.capture.photo.brdf.rays import MM, Y_UP
+from raden_torch.capture.photo.brdf.rays import MM, board_direction, board_to_scene
+from raden_torch.capture.photo.directions import apart_deg
 from raden_torch.capture.photo.guide.plan_file import PlanFile, read_plan
 from raden_torch.errors import InputError
 
 _OFF_DEG = 12.0
 """A person with a protractor is nearer than this to where the plan says."""
 _OTHER_SIZE = 1.5
-_BENT = ("cylinder", "sphere")
+_UP = np.array([0.0, 0.0, 1.0])
 
 
 def check_planned(path: Path, series: PhotoSeries, sample: SampleSpec) -> str | None:
@@ -36,7 +37,7 @@ def check_planned(path: Path, series: PhotoSeries, sample: SampleSpec) -> str | 
             f"{path}: expected a plan of {len(series.shots)} photographs or more, got one of "
             f"{len(plan.photographs)}"
         )
-    planned = np.array([_angles(np.array(p.lamp_mm), np.array(p.camera_mm))
+    planned = np.array([_angles(np.array(p.lamp_mm), np.array(p.camera_mm), _UP)
                         for p in plan.photographs])  # fmt: skip
     for k, number in enumerate(_numbers(series, len(planned))):
         angles = _taken(series, k, sample)
@@ -70,7 +71,7 @@ def _numbers(series: PhotoSeries, planned: int) -> list[int]:
 
 def _check_piece(path: Path, plan: PlanFile, sample: SampleSpec) -> None:
     if plan.shape != sample.shape:
-        bent = " (it is bent, not a plane)" if plan.shape in _BENT else ""
+        bent = " (it is bent, not a plane)" if plan.shape != "plane" else ""
         raise InputError(
             f"{path}: it is a plan for {plan.piece}{bent}: expected shape {plan.shape}, got "
             f"{sample.shape}"
@@ -78,9 +79,10 @@ def _check_piece(path: Path, plan: PlanFile, sample: SampleSpec) -> None:
     if not sample.regions_m:
         return
     sizes = [np.sort(MM * np.ptp(region[:, :2], axis=0)) for region in sample.regions_m]
-    ratio = max(sizes, key=lambda size: float(size[1])) / np.sort(plan.size_mm)
+    largest = max(sizes, key=lambda size: float(size[1]))
+    ratio = largest / np.sort(plan.size_mm)
     if ratio.max() > _OTHER_SIZE or ratio.max() < 1 / _OTHER_SIZE:
-        height, width = sizes[0]
+        height, width = largest
         raise InputError(
             f"{path}: it is a plan for {plan.piece}, got a region of {width:.0f} x {height:.0f} "
             "mm; a plan for another sample"
@@ -92,21 +94,15 @@ def _taken(series: PhotoSeries, number: int, sample: SampleSpec) -> Floats:
     shot, lamp = series.shots[number], series.lamps[number]
     if shot.pose is None or not sample.regions_m:
         if series.camera is None:
-            apart = float(np.degrees(np.arccos(np.clip(lamp.direction[2], -1, 1))))
-            return np.array([np.nan, np.nan, apart])
+            return np.array([np.nan, np.nan, apart_deg(lamp.direction, _UP)])
         return np.full(3, np.nan)
     middle = np.mean(np.concatenate([region[:, :2] for region in sample.regions_m]), axis=0)
-    at = MM * (shot.pose.rotation @ np.append(middle, 0) + shot.pose.translation_m)
-    far = 1e6 * lamp.direction * Y_UP
-    lit_from = far if lamp.position is None else lamp.position * Y_UP - at
-    lamp_mm, camera_mm = (
-        (shot.pose.rotation.T @ way) * np.array([1.0, -1.0, -1.0]) for way in (lit_from, -at)
-    )
-    return _angles(lamp_mm, camera_mm)
+    at = board_to_scene(shot.pose, np.append(middle, 0))
+    towards_lamp, _ = lamp.at(at[None], at)
+    return _angles(towards_lamp[0], -at, board_direction(shot.pose, [0, 0, -1]))
 
 
-def _angles(lamp_mm: Floats, camera_mm: Floats) -> Floats:
-    """Of lamp and camera from the normal, and between them, in degrees."""
-    lamp, camera = (way / np.linalg.norm(way) for way in (lamp_mm, camera_mm))
-    cosines = np.array([lamp[2], camera[2], lamp @ camera])
-    return np.asarray(np.degrees(np.arccos(np.clip(cosines, -1, 1))))
+def _angles(to_lamp: Floats, to_camera: Floats, normal: Floats) -> Floats:
+    """Of lamp and camera from the unit normal, and between them, in degrees."""
+    lamp, camera = (way / np.linalg.norm(way) for way in (to_lamp, to_camera))
+    return apart_deg(np.stack([lamp, camera, lamp]), np.stack([normal, normal, camera]))

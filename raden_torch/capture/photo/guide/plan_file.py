@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from msgspec import Struct
 
-from raden_torch.capture.photo.guide.plan import Plan
+from raden_torch.capture.photo.guide.plan import Plan, said
 from raden_torch.capture.photo.result_file import read_result, write_result
 from raden_torch.files import written_beside
 from raden_torch.schema import Finite, NotNegative, Positive, Triple
@@ -27,7 +27,7 @@ class PlannedPhotograph(Struct):
 
 
 class PlanFile(Struct):
-    """What a reader needs of a plan file."""
+    """What is checked of a plan file."""
 
     sample: str
     shape: str
@@ -45,7 +45,6 @@ def write_plan(plan: Plan, path: PathLike, *, made_from: tuple[Path, ...] = ()) 
     Raises:
         InputError: as for `write_result`.
     """
-    instructions = plan.instructions()
     content = {
         "sample": plan.name,
         "shape": plan.piece.shape,
@@ -56,7 +55,7 @@ def write_plan(plan: Plan, path: PathLike, *, made_from: tuple[Path, ...] = ()) 
         "assume": plan.assume,
         "expected_error": np.round(plan.expected, 5),
         "photographs": [
-            {"number": k + 1, **asdict(stance), "text": instructions[k].partition(". ")[2]}
+            {"number": k + 1, **asdict(stance), "text": said(stance, plan.set_up)}
             for k, stance in enumerate(plan.stances)
         ],
     }

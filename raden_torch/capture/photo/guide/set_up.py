@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Bools, Floats
+from raden_torch.capture.exchange.directions import unit_vectors
+from raden_torch.capture.photo.directions import apart_deg
 from raden_torch.errors import InputError
 
 HAND, TURNTABLE, STILL = "hand", "turntable", "still"
@@ -74,6 +76,11 @@ class SetUp:
                 f"{self.camera_deg:g} deg"
             )
 
+    @property
+    def azimuth_from(self) -> str:
+        """Where azimuths begin."""
+        return "the mark" if self.kind == HAND else "the camera's side"
+
 
 @dataclass(frozen=True)
 class Stance:
@@ -115,17 +122,17 @@ def stances(set_up: SetUp, reach_mm: float, *, most: int = 2500) -> list[Stance]
         InputError: none is left.
     """
     table = np.array(_table(set_up))
-    kept = table[_possible(set_up, table, reach_mm)]
-    if not len(kept):
+    lamps, cameras = _in_piece(table)
+    possible = np.flatnonzero(_possible(set_up, table, lamps, cameras, reach_mm))
+    if not len(possible):
         raise InputError(
             "set_up: expected limits that leave a place for lamp and camera, got none; allow the "
             "lamp a greater distance or angle, or the camera another angle"
         )
-    rows = np.random.default_rng(0).permutation(len(kept))[:most]
-    lamps, cameras = _in_piece(kept)
+    rows = np.random.default_rng(0).permutation(len(possible))[:most]
     return [
-        Stance(_place(lamps[k]), _place(cameras[k]), *(float(v) for v in kept[k]))
-        for k in np.sort(rows)
+        Stance(_place(lamps[k]), _place(cameras[k]), *(float(v) for v in table[k]))
+        for k in possible[np.sort(rows)]
     ]
 
 
@@ -159,19 +166,18 @@ def _table(set_up: SetUp) -> list[tuple[float, ...]]:
     ]
 
 
-def _possible(set_up: SetUp, table: Floats, reach_mm: float) -> Floats:
-    lamp = _from_polar(table[:, 2], table[:, 3], table[:, 4])
-    camera = _from_polar(table[:, 5], table[:, 6], table[:, 7])
-    apart = np.arccos(
-        np.clip((lamp * camera).sum(1) / table[:, 4] / table[:, 7], -1, 1)
-    )  # at the piece
+def _possible(
+    set_up: SetUp, table: Floats, in_piece_lamp: Floats, in_piece_camera: Floats, reach_mm: float
+) -> Bools:
+    lamp = from_polar(table[:, 2], table[:, 3], table[:, 4])
+    camera = from_polar(table[:, 5], table[:, 6], table[:, 7])
+    apart = np.radians(apart_deg(lamp / table[:, 4:5], camera / table[:, 7:8]))  # at the piece
     near, far = (pick(table[:, 4], table[:, 7]) for pick in (np.minimum, np.maximum))
     # the rays between the piece and the farther one, where they pass the nearer one
     clear = near * np.sin(np.minimum(apart, np.pi / 2)) > BODY_MM + reach_mm * (far - near) / far
     above = lamp[:, 2] > ABOVE_MM
-    low_lamp, low_camera = _in_piece(table)
-    lit = low_lamp[:, 2] / table[:, 4] > np.cos(np.radians(set_up.lamp_to_deg + 1e-6))
-    seen = low_camera[:, 2] / table[:, 7] > np.cos(np.radians(set_up.camera_to_deg + 1e-6))
+    lit = in_piece_lamp[:, 2] / table[:, 4] > np.cos(np.radians(set_up.lamp_to_deg + 1e-6))
+    seen = in_piece_camera[:, 2] / table[:, 7] > np.cos(np.radians(set_up.camera_to_deg + 1e-6))
     return np.asarray(clear & above & lit & seen)
 
 
@@ -180,17 +186,16 @@ def _in_piece(table: Floats) -> tuple[Floats, Floats]:
     turn, wedge = np.radians(table[:, 0]), np.radians(table[:, 1])
     found = []
     for columns in (table[:, 2:5], table[:, 5:8]):
-        x, y, z = _from_polar(*columns.T).T
+        x, y, z = from_polar(*columns.T).T
         x, y = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
         x, z = x * np.cos(wedge) - z * np.sin(wedge), x * np.sin(wedge) + z * np.cos(wedge)
         found.append(np.stack([x, y, z], 1))
     return found[0], found[1]
 
 
-def _from_polar(angle_deg: Floats, azimuth_deg: Floats, distance: Floats) -> Floats:
-    polar, azimuth = np.radians(angle_deg), np.radians(azimuth_deg)
-    way = [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)]
-    return np.asarray(np.stack(way, 1) * distance[:, None])
+def from_polar(angle_deg: Floats, azimuth_deg: Floats, distance: Floats) -> Floats:
+    """`[N, 3]` places over a table, by angles from the vertical and round it."""
+    return np.asarray((unit_vectors(angle_deg, azimuth_deg) * distance).T)
 
 
 def _place(point: Floats) -> tuple[float, float, float]:

@@ -14,6 +14,8 @@ from raden_torch.capture.photo.simulation.simulated_camera import Camera, View
 WHITE, GREY_BALL, CHROME_BALL, SECOND_BALL = "white", "grey_ball", "chrome_ball", "chrome_ball_2"
 FACING = View(np.diag([1.0, -1.0, -1.0]), np.zeros(3))
 """The camera at 0, the world being x right, y up, z to the viewer."""
+PLAN_NAME = "plan.json"
+"""What a plan of `raden capture guide` is called beside its photographs."""
 RIGHT, UP = np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
 FAR_MM = 200_000.0
 
@@ -45,9 +47,8 @@ class PhotoPlan:
         white: what a person would know of the white tile.
         white_factor, grey_ball: reflectance factor of the white tile, reflectance of the matt ball.
         masks: the things that get one.
-        reference: from where lamps, chart and masks are photographed; None: from the first view.
-        plan: name beside the photographs of the file that says where lamp and camera stand;
-            empty where none does.
+        reference: from where lamps, chart and masks are photographed, of photographs by a plan of
+            `raden capture guide`; None: from the first view.
     """
 
     shape: str
@@ -68,7 +69,6 @@ class PhotoPlan:
     white_factor: float = 90.0
     grey_ball: float = 0.6
     reference: View | None = None
-    plan: str = ""
 
 
 def camera_of(width: int, bits: int = 14, *, focal: float = 3.0) -> Camera:

@@ -36,7 +36,7 @@ CAMERA_MM, _LAMP_MM = 950.0, 1150.0
 """Lamps stand behind the camera's distance, so that none is in the picture."""
 _SPECIMEN_MM, _WHITE_MM = (48.0, 32.0, 32.0, 32.0), (112.0, 48.0, 16.0, 16.0)
 """x, y, width and height on the board."""
-BOARD = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.0)
+_BOARD = PrintedBoard(9, 7, square_mm=16.0, marker_mm=12.0)
 _ABOVE_MM, _BALL_MM = 0.02, 20.0
 _GOLDEN = np.pi * (3 - np.sqrt(5))
 
@@ -51,14 +51,13 @@ def plane_plan(
     The first view is from nearly above and shows everything, the others lean to all sides.
     """
     rng = np.random.default_rng([seed, 1])
-    board = BOARD
-    lying = Sheet(np.zeros(3), RIGHT, -UP, *board.size_mm)
+    board = _BOARD
     places = [
         lamp_at(_MIDDLE + reach * way, reach, rng.uniform(0.8, 1.2))
         for way in _ways(lamps, 8.0, 58.0, rng)
         for reach in [rng.uniform(0.9, 1.1) * _LAMP_MM if near else FAR_MM]
     ]
-    things, balls = lying_things(mi, board, _SPECIMEN_MM, _WHITE_MM)
+    lying, things, balls = lying_things(mi, board, _SPECIMEN_MM, _WHITE_MM)
     from_above = _MIDDLE + FAR_MM * np.array([0.0, np.sin(0.4), np.cos(0.4)])
     return PhotoPlan(
         shape="plane",
@@ -86,9 +85,9 @@ def lying_things(
     board: PrintedBoard,
     specimen_mm: tuple[float, float, float, float],
     white_mm: tuple[float, float, float, float],
-) -> tuple[dict[str, Any], dict[str, Ball]]:
-    """What lies on the table: the board with specimen and white tile (x, y, width, height on it),
-    the chart; and two chrome balls."""
+) -> tuple[Sheet, dict[str, Any], dict[str, Ball]]:
+    """The board; what lies on the table: it with specimen and white tile (x, y, width, height on
+    it), and the chart; and two chrome balls."""
     lying = Sheet(np.zeros(3), RIGHT, -UP, *board.size_mm)
     chart = Sheet(np.array([board.size_mm[0] + 10, -28.0, 0.0]), RIGHT, -UP, 77.0, 55.0)
     table = Sheet(np.array([-500.0, 500.0, -0.5]), RIGHT, -UP, 1200.0, 1000.0)
@@ -100,7 +99,7 @@ def lying_things(
         WHITE: sheet(mi, _on_board(white_mm), matt(0.9)),
         SPECIMEN: sheet(mi, _on_board(specimen_mm), matt(1.0)),
     }
-    return things, {name: Ball(at, _BALL_MM) for name, at in chrome.items()}
+    return lying, things, {name: Ball(at, _BALL_MM) for name, at in chrome.items()}
 
 
 def _on_board(place: tuple[float, float, float, float]) -> Sheet:

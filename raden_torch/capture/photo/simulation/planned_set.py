@@ -12,10 +12,9 @@ import numpy as np
 from msgspec import Struct
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.simulation.mitsuba_scene import PrintedBoard, Sheet
+from raden_torch.capture.photo.simulation.mitsuba_scene import PrintedBoard
 from raden_torch.capture.photo.simulation.photo_plan import (
-    RIGHT,
-    UP,
+    WHITE,
     PhotoPlan,
     Shot,
     board_poses,
@@ -28,11 +27,11 @@ from raden_torch.capture.photo.simulation.plane_set import (
     looking,
     lying_things,
 )
+from raden_torch.capture.photo.simulation.renderer import SPECIMEN
+from raden_torch.capture.photo.simulation.simulated_camera import View
 from raden_torch.errors import InputError
 from raden_torch.schema import Positive, Triple, checked, read_document
 
-PLAN_NAME = "plan.json"
-"""What the plan is called beside its photographs."""
 _BOARD = PrintedBoard(11, 9, square_mm=16.0, marker_mm=12.0)
 _MIDDLE_MM = (80.0, 72.0)
 """Of the specimen on the board, from its upper left corner."""
@@ -63,7 +62,7 @@ def read_planned(path: Path) -> _Plan:
 
     Raises:
         InputError: not such a file; a piece that is not flat, lies on wedges, or does not fit on
-            the board; camera distances that differ.
+            the board.
     """
     what = "a plan of `raden capture guide`"
     found = read_document(path, what)
@@ -99,7 +98,7 @@ def planned_set(mi: Any, path: Path, *, width: int, bits: int, seed: int) -> Pho
     across, down = plan.size_mm
     place = _MIDDLE_MM[0] - across / 2, _MIDDLE_MM[1] - down / 2, across, down
     middle = np.array([_MIDDLE_MM[0], -_MIDDLE_MM[1], 0.0])
-    things, balls = lying_things(mi, board, place, _WHITE_MM)
+    lying, things, balls = lying_things(mi, board, place, _WHITE_MM)
     farthest = max(float(np.linalg.norm(p.camera_mm)) for p in plan.photographs)
     focal = _FILLED * farthest / board.size_mm[0]
     lamps = []
@@ -107,7 +106,6 @@ def planned_set(mi: Any, path: Path, *, width: int, bits: int, seed: int) -> Pho
         reach = float(np.linalg.norm(photograph.lamp_mm))
         lamps.append(lamp_at(middle + np.array(photograph.lamp_mm), reach, rng.uniform(0.8, 1.2)))
     way = _FROM_ABOVE / np.linalg.norm(_FROM_ABOVE)
-    lying = Sheet(np.zeros(3), RIGHT, -UP, *board.size_mm)
     return PhotoPlan(
         shape="plane",
         things=things,
@@ -123,15 +121,14 @@ def planned_set(mi: Any, path: Path, *, width: int, bits: int, seed: int) -> Pho
         specimen={"region_m": corners_m(place)},
         middle_mm=(float(middle[0]), float(middle[1]), 0.0),
         white={"region_m": corners_m(_WHITE_MM)},
-        masks=("specimen", "white", *balls),
+        masks=(SPECIMEN, WHITE, *balls),
         reference=looking(
             way, at=middle + np.array([20.0, 0, 0]), distance_mm=1.2 * CAMERA_MM * focal / 3
         ),
-        plan=PLAN_NAME,
     )
 
 
-def _view(camera_mm: Floats, middle: Floats) -> Any:
+def _view(camera_mm: Floats, middle: Floats) -> View:
     distance = float(np.linalg.norm(camera_mm))
     return looking(camera_mm / distance, at=middle, distance_mm=distance)
 

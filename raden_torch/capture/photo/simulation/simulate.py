@@ -19,13 +19,14 @@ from raden_torch.capture.photo.simulation.mitsuba_scene import printed, sheet
 from raden_torch.capture.photo.simulation.photo_file import write_photograph
 from raden_torch.capture.photo.simulation.photo_plan import (
     FACING,
+    PLAN_NAME,
     WHITE,
     PhotoPlan,
     camera_of,
     lamp_at,
 )
 from raden_torch.capture.photo.simulation.plane_set import plane_plan
-from raden_torch.capture.photo.simulation.planned_set import PLAN_NAME, planned_set, things_beside
+from raden_torch.capture.photo.simulation.planned_set import planned_set, things_beside
 from raden_torch.capture.photo.simulation.renderer import SPECIMEN, Studio
 from raden_torch.capture.photo.simulation.simulated_camera import View
 from raden_torch.capture.photo.simulation.sphere_set import sphere_plan

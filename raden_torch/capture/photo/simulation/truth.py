@@ -17,6 +17,7 @@ from raden_torch.capture.photo.simulation.photo_plan import (
     CHROME_BALL,
     FACING,
     GREY_BALL,
+    PLAN_NAME,
     WHITE,
     PhotoPlan,
     Shot,
@@ -100,7 +101,7 @@ def commands(plan: PhotoPlan, names: Mapping[str, Sequence[str]], stack: int) ->
         seen_in, more = names["lamp"][0], ""
         if plan.reference is not None:
             seen_in, more = names["chart"][-1], f" {names['chart'][-1]}"
-            brdf = f"--plan {plan.plan} --scattered {brdf}"
+            brdf = f"--plan {PLAN_NAME} --scattered {brdf}"
         region, white = (
             " ".join(f"{x:g},{y:g}" for x, y in place["region_m"])
             for place in (plan.specimen, plan.white)

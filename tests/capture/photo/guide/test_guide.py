@@ -94,7 +94,7 @@ def test_what_is_known_grows_as_kriging_says() -> None:
     is promised is the one that comes."""
     queries, read = hemisphere_deg(50, seed=1), hemisphere_deg(30, seed=2)
     lengths = Lengths(noise=1e-3)
-    state = Knowledge(lengths, RECIPROCAL, queries, read)
+    state = Knowledge(lengths, RECIPROCAL, queries, read, most=len(read))
     for part in np.split(read, 3):
         promised, before = state.gain(part), state.std.mean()
         state.add(part)
@@ -110,7 +110,7 @@ def test_a_plan_tells_more_than_chance_and_counts_what_was_measured() -> None:
     piece, how = Piece.flat(60, 48), SetUp()
     plan = plan_photographs(piece, how, 12, assume=RECIPROCAL)
     assert (np.diff(plan.expected) < 0).all()
-    state = Knowledge(Lengths(), RECIPROCAL, hemisphere_deg(), np.zeros((0, 3)))
+    state = Knowledge(Lengths(), RECIPROCAL, hemisphere_deg(), np.zeros((0, 3)), most=2000)
     for stance in stances(how, piece.reach_mm)[::200][:12]:
         state.add(piece.angles_deg(np.array(stance.lamp_mm), np.array(stance.camera_mm)))
     assert np.expm1(0.35 * np.median(state.std)) > 1.3 * plan.expected[-1]
