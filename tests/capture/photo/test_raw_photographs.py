@@ -17,8 +17,8 @@ from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.development import developed
 from raden_torch.capture.photo.photograph import read_linear, read_stored
 from raden_torch.errors import InputError
-from raden_torch.images.mosaic import colour_masks
 from raden_torch.images.shot_settings import ShotSettings
+from tests.dng import mosaic_of
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 H, W = 24, 32
@@ -28,8 +28,7 @@ SET_SO = {33434: (5, [1 / 50]), 33437: (5, [4.0]), 34855: (3, 100), 37386: (5, [
 
 def counted(linear: np.ndarray, pattern: str = "RGGB") -> np.ndarray:
     """What a sensor of 12 bits counts of `[H, W, 3]` in units of its white level."""
-    masks = colour_masks(pattern, *linear.shape[:2])
-    mosaic = sum(linear[..., i] * masks[c] for i, c in enumerate("RGB"))
+    mosaic = mosaic_of(linear, pattern)
     return np.clip(np.rint(BLACK + (WHITE - BLACK) * mosaic), 0, WHITE).astype(np.uint16)
 
 
