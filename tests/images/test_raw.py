@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 
 from raden_torch.errors import InputError
 from raden_torch.images.mosaic import BAYER_PATTERNS
+from raden_torch.images.other_formats import other_format
 from raden_torch.images.pixels import oriented
 from raden_torch.images.raw import is_raw, read_raw
 from raden_torch.images.raw_image import raw_in_colour
@@ -253,3 +255,12 @@ def test_raw_files_are_known_by_their_content_and_by_their_names(
         (tmp_path / name).write_bytes(start)
         assert is_raw(tmp_path / name) == expected
     assert not is_raw(tmp_path / "none")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX's")
+def test_a_pipe_is_refused_before_it_is_looked_into(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for look in (is_raw, other_format):
+        with pytest.raises(InputError, match="pipe: expected a file, got a pipe"):
+            look(pipe)
