@@ -159,6 +159,18 @@ def test_a_raw_file_is_relit(
     np.testing.assert_allclose(left, 1.055 * 0.4 ** (1 / 2.4) - 0.055, atol=2e-3)
 
 
+def test_where_the_colours_of_frames_are_from_is_said_once(
+    raden: Command, tmp_path: Path, write: Callable[..., Path], surface: list[object]
+) -> None:
+    """The first frame is read to plan the work, too."""
+    for number in (1, 2):
+        write(f"photo.{number:04}.dng", flat(0.2, 0.4, 0.1))
+    given = ["--frames", "1-2", "-o", tmp_path / "relit.####.png"]
+    done = raden("relight", tmp_path / "photo.####.dng", *surface, *given, warn="default")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("colours by the matrix of the file") == 1
+
+
 def test_a_camera_that_nobody_knows_is_relit_by_a_colour_file(
     raden: Command, tmp_path: Path, write: Callable[..., Path], surface: list[object]
 ) -> None:
