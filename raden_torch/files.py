@@ -48,6 +48,20 @@ def check_seekable(path: str | os.PathLike[str]) -> None:
         raise InputError(f"{path}: expected a file, got a pipe or a device; save it as one first")
 
 
+def first_bytes(path: str | os.PathLike[str], count: int) -> bytes | None:
+    """What a file begins with, `count` bytes at most; None where there is none to read.
+
+    Raises:
+        InputError: as for `check_seekable`.
+    """
+    try:
+        check_seekable(path)
+        with open(path, "rb") as file:
+            return file.read(count)
+    except OSError:
+        return None
+
+
 def check_output(
     path: str | os.PathLike[str],
     suffixes: Sequence[str] = (),

@@ -79,7 +79,8 @@ def _is_installed(module: str) -> bool:
 def quiet_stderr() -> Iterator[None]:
     """Foreign libraries print their errors as well as raising them; the raised ones are enough.
 
-    One thread at a time: what is redirected is the process's.
+    One thread at a time: what is redirected is the process's, other threads' messages too, so that
+    it is held around the foreign calls alone.
     """
     with _STDERR:
         saved = os.dup(2)

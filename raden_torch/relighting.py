@@ -164,8 +164,8 @@ def relight_files(
             files are linear, and have the colours that they say themselves, or those of a colour
             file.
 
-    Alpha is kept where the output's format has one. In a strip every lamp has it; a contact sheet
-    is opaque.
+    Alpha is kept where the output's format has one, but not with a colour file. In a strip every
+    lamp has it; a contact sheet is opaque.
 
     Raises:
         InputError: a picture would be written onto one of the files read; whatever reading raises.

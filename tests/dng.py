@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from tests.tiff import Tag, directory
+
 EOS_5D = (6347, -479, -972, -8297, 15954, 2480, -1968, 2131, 7649)
 """ColorMatrix2 of a camera that many know, in ten thousandths: XYZ under D65 → its RGB."""
-_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 7: 1, 10: 8, 11: 4}
-_CODES = {3: "H", 4: "I", 11: "f"}
-
-Tag = tuple[int, Any]
-"""A TIFF type, and a value or values of it; bytes for the types 1, 2 and 7."""
 
 
 def write_dng(
@@ -78,6 +73,14 @@ def write_dng(
     return path
 
 
+def mosaic_of(rgb: np.ndarray, pattern: str) -> np.ndarray:
+    """`[H, W]` of `[H, W, 3]` seen through the filters of a Bayer pattern."""
+    height, width = rgb.shape[:2]
+    rows, columns = np.indices((height, width))
+    cells = np.array(["RGB".index(c) for c in pattern]).reshape(2, 2)
+    return rgb[rows, columns, cells[rows % 2, columns % 2]]
+
+
 def opcodes(*numbers: int, optional: bool = True) -> Tag:
     """An opcode list of these, with no parameters (they are big-endian in every file)."""
     body = b"".join(struct.pack(">IIII", n, 0x01030000, int(optional), 0) for n in numbers)
@@ -89,34 +92,9 @@ def _tiff(
 ) -> bytes:
     head = struct.pack(order + "2sHI", b"II" if order == "<" else b"MM", 42, 8)
     own = dict(tags) | {273: (4, 0)} | ({34665: (4, 0)} if exif else {})
-    length = len(_directory(order, own, 8))
-    after = _directory(order, exif, 8 + length) if exif else b""
+    length = len(directory(order, own, 8))
+    after = directory(order, exif, 8 + length) if exif else b""
     own[273] = (4, 8 + length + len(after))
     if exif:
         own[34665] = (4, 8 + length)
-    return head + _directory(order, own, 8) + after + values.astype(order + "u2").tobytes()
-
-
-def _directory(order: str, tags: Mapping[int, Tag], place: int) -> bytes:
-    entries, body = b"", b""
-    behind = place + 2 + 12 * len(tags) + 4
-    for number, (kind, value) in sorted(tags.items()):
-        data = _packed(order, kind, value)
-        entries += struct.pack(order + "HHI", number, kind, len(data) // _SIZES[kind])
-        if len(data) <= 4:
-            entries += data.ljust(4, b"\0")
-        else:
-            entries += struct.pack(order + "I", behind + len(body))
-            body += data + bytes(len(data) % 2)
-    return struct.pack(order + "H", len(tags)) + entries + bytes(4) + body
-
-
-def _packed(order: str, kind: int, value: Any) -> bytes:
-    if isinstance(value, bytes):
-        return value
-    numbers = list(np.atleast_1d(value).tolist())
-    if kind in (5, 10):
-        ratios = [Fraction(float(v)).limit_denominator(100_000) for v in numbers]
-        pairs = [n for r in ratios for n in (r.numerator, r.denominator)]
-        return struct.pack(f"{order}{len(pairs)}{'I' if kind == 5 else 'i'}", *pairs)
-    return struct.pack(f"{order}{len(numbers)}{_CODES[kind]}", *numbers)
+    return head + directory(order, own, 8) + after + values.astype(order + "u2").tobytes()

@@ -146,6 +146,7 @@ def _relight_frames(
     from raden_torch.cli.sequence_run import run_frames
     from raden_torch.sequences.plan import target_pattern
     from raden_torch.sequences.relight_job import RelightJob, plan_relight
+    from raden_torch.sequences.report import one_warning_of_a_kind
 
     if len(photos) != 1 or sequence.frames is None:
         raise InputError(
@@ -168,6 +169,7 @@ def _relight_frames(
         original=how.original_light,
         coded=how.coded,
     )
-    with working("looking at the frames"):
-        job, frames = plan_relight(job, sequence.frames, skip_missing=sequence.skip_missing)
-    run_frames(job, frames, sequence, how.memory)
+    with one_warning_of_a_kind():
+        with working("looking at the frames"):
+            job, frames = plan_relight(job, sequence.frames, skip_missing=sequence.skip_missing)
+        run_frames(job, frames, sequence, how.memory)

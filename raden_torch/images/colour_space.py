@@ -135,7 +135,8 @@ def float_matrix(
         is_linear: the user says so, whatever the file's profile says.
 
     Raises:
-        InputError: a profile with a curve, and nobody says which of both is right.
+        InputError: as for `colour_space_of`; a profile of lookup tables; one with a curve, and
+            nobody says which of both is right.
     """
     space = colour_space_of(tags, path)
     if isinstance(space, LookupProfile):
@@ -168,8 +169,8 @@ def _by_icc(data: bytes, path: str | os.PathLike[str]) -> ColourSpace | LookupPr
         profile: IccProfile = parse_icc(data)
     except UnknownProfile as error:
         raise InputError(
-            f"{path}: expected an RGB or grey profile of matrix and curves, or none, got {error}; "
-            "convert it to sRGB first"
+            f"{path}: expected an RGB or grey profile (a grey one without lookup tables), or none, "
+            f"got {error}; convert it to sRGB first"
         ) from None
     curves = profile.curves * 3 if len(profile.curves) == 1 else profile.curves
     first, second, third = curves

@@ -35,7 +35,7 @@ class ColourTags:
 
     Attributes:
         icc: an ICC profile.
-        cicp: PNG's cICP: primaries, transfer, matrix, full range.
+        cicp: PNG's cICP, or HEIC's nclx in its terms: primaries, transfer, matrix, full range.
         srgb: PNG's sRGB chunk is there.
         gamma: PNG's gAMA, 1/2.2 for a display's curve.
         chromaticities: x, y of red, green, blue and white.

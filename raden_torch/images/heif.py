@@ -41,11 +41,14 @@ def read_heic(path: str | os.PathLike[str]) -> tuple[Header, NDArray[Any]]:
     import pillow_heif
 
     try:
-        with quiet_stderr(), open(path, "rb") as file:
-            image = pillow_heif.open_heif(file, convert_hdr_to_8bit=False)
+        with open(path, "rb") as file:
+            with quiet_stderr():
+                image = pillow_heif.open_heif(file, convert_hdr_to_8bit=False)
             check_size(path, *image.size)
-            header = _header(image)
-            values = np.array(image)
+            bits = int(image.info.get("bit_depth", 8))
+            header = _header(image, bits)
+            with quiet_stderr():
+                values = np.array(image)
     except (
         *(OSError, ValueError, RuntimeError, EOFError, SyntaxError, MemoryError),
         *(IndexError, KeyError, TypeError),
@@ -56,7 +59,6 @@ def read_heic(path: str | os.PathLike[str]) -> tuple[Header, NDArray[Any]]:
         raise InputError(
             f"{path}: a damaged {NAME} file; expected a whole one ({reason})"
         ) from None
-    bits = int(image.info.get("bit_depth", 8))
     if 8 < bits < 16:  # libheif shifts them to the top
         most = (1 << bits) - 1
         whole = (values >> (16 - bits)).astype(np.uint32)
@@ -69,15 +71,16 @@ def said_of_heic(path: str | os.PathLike[str]) -> list[str]:
     require("HEIC pictures", "heif")
     import pillow_heif
 
-    with quiet_stderr(), open(path, "rb") as file:
-        image = pillow_heif.open_heif(file)
+    with open(path, "rb") as file:
+        with quiet_stderr():
+            image = pillow_heif.open_heif(file)
         lines = [f"pictures: {len(image)}, the main one is read"] if len(image) > 1 else []
         if any(_GAIN_MAP in name for name in image.info.get("aux", {})):
             lines.append("HDR gain map: there, not used")
         return lines
 
 
-def _header(image: Any) -> Header:
+def _header(image: Any, bits: int) -> Header:
     from PIL import Image
 
     tags: dict[int, Any] = {}
@@ -101,7 +104,7 @@ def _header(image: Any) -> Header:
     alpha: Alpha = "associated" if image.premultiplied_alpha else "straight"
     return Header(
         NAME,
-        8 if int(image.info.get("bit_depth", 8)) <= 8 else 16,
+        8 if bits <= 8 else 16,
         alpha=alpha if image.has_alpha else "none",
         colour=ColourTags(icc=profile, cicp=cicp),
         tags=tags,

@@ -14,13 +14,6 @@ BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """The colour of the pixels (0, 0), (0, 1), (1, 0), (1, 1): row by row from the upper left."""
 
 
-def colour_masks(pattern: str, height: int, width: int) -> dict[str, NDArray[np.bool_]]:
-    """`{"R": [H, W], "G": …, "B": …}`, true where the mosaic holds that colour."""
-    phase = 2 * (np.arange(height)[:, None] % 2) + np.arange(width)[None] % 2
-    cells = np.array(list(pattern))[phase]
-    return {colour: cells == colour for colour in "RGB"}
-
-
 def turned_cells(cells: NDArray[Any], orientation: int, size: tuple[int, int]) -> NDArray[Any]:
     """`[2, 2]` at the upper left of a mosaic that is turned as EXIF's orientation says.
 
@@ -30,6 +23,12 @@ def turned_cells(cells: NDArray[Any], orientation: int, size: tuple[int, int]) -
     """
     rows, columns = np.ogrid[: 2 + size[0] % 2, : 2 + size[1] % 2]
     return oriented(cells[rows % 2, columns % 2], orientation)[:2, :2]
+
+
+def turned_pattern(pattern: str, orientation: int, size: tuple[int, int]) -> str:
+    """The Bayer pattern of a mosaic that is turned, with the arguments of `turned_cells`."""
+    cells = np.array(list(pattern)).reshape(2, 2)
+    return "".join(turned_cells(cells, orientation, size).ravel())
 
 
 def demosaiced(mosaic: NDArray[Any], pattern: str) -> NDArray[np.float32]:

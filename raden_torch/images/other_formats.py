@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.errors import InputError
+from raden_torch.files import first_bytes
 from raden_torch.images.header import Alpha, ColourTags, Header, check_size
 from raden_torch.images.heif import NAME as HEIC
 from raden_torch.images.heif import is_heic, read_heic
@@ -40,13 +41,13 @@ def other_format(path: str | os.PathLike[str], start: bytes | None = None) -> st
     Args:
         start: the first bytes, where they are known. Those of Targa say little: its suffix counts,
             too.
+
+    Raises:
+        InputError: a pipe or a device.
     """
+    start = first_bytes(path, 64) if start is None else start
     if start is None:
-        try:
-            with open(path, "rb") as file:
-                start = file.read(64)
-        except OSError:
-            return None
+        return None
     if is_heic(start):
         return HEIC
     found = next((name for first, name in _STARTS.items() if start.startswith(first)), None)
@@ -69,7 +70,6 @@ def read_other(path: str | os.PathLike[str], name: str) -> tuple[Header, NDArray
         InputError: damaged; too large; neither grey nor RGB; of other numbers than 8 or 16 bits or
             floats; a DPX in logarithmic or video code; several frames.
     """
-
     if name == HEIC:
         return read_heic(path)
 

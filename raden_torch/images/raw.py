@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from raden_torch.colorimetry import SRGB, primary_matrix
 from raden_torch.errors import InputError
-from raden_torch.files import check_seekable
+from raden_torch.files import check_seekable, first_bytes
 from raden_torch.images.header import check_size
-from raden_torch.images.mosaic import BAYER_PATTERNS, turned_cells
+from raden_torch.images.mosaic import BAYER_PATTERNS, turned_cells, turned_pattern
 from raden_torch.images.openimageio import readable_name
 from raden_torch.images.pixels import oriented
 from raden_torch.images.raw_image import RawColour, RawImage
@@ -43,18 +43,15 @@ _ORIENTATIONS = {0: 1, 1: 2, 3: 3, 2: 4, 4: 5, 6: 6, 7: 7, 5: 8}
 """LibRaw's flip → EXIF's orientation."""
 
 
-def is_raw(path: str | os.PathLike[str], start: bytes | None = None) -> bool:
+def is_raw(path: str | os.PathLike[str]) -> bool:
     """Whether a file is one of a camera's raw files, by its first bytes or its name.
 
-    Args:
-        start: the first 16 bytes or more, where they are known.
+    Raises:
+        InputError: a pipe or a device.
     """
+    start = first_bytes(path, 65536)
     if start is None:
-        try:
-            with open(path, "rb") as file:
-                start = file.read(65536)
-        except OSError:
-            return False
+        return False
     return Path(path).suffix.lower() in _SUFFIXES or begins_as_raw(start)
 
 
@@ -98,34 +95,27 @@ def read_raw(path: str | os.PathLike[str]) -> RawImage:
     if pattern is not None:
         size = (values.shape[0], values.shape[1])
         black = turned_cells(black, turned, size)
-        pattern = "".join(turned_cells(np.array(list(pattern)).reshape(2, 2), turned, size).ravel())
+        pattern = turned_pattern(pattern, turned, size)
     image = np.ascontiguousarray(oriented(values, turned))
     return RawImage(image, pattern, black, white, colour, said, tags.notes)
 
 
 @contextmanager
 def _opened(path: str | os.PathLike[str]) -> Iterator[Any]:
-    """LibRaw's file, unpacked."""
+    """LibRaw's file, unpacked; its errors here and in the block are ours."""
     require("camera raw files", "raw")
     import rawpy
 
-    with quiet_stderr(), readable_name(path) as name, rawpy.RawPy() as raw:
+    with readable_name(path) as name, rawpy.RawPy() as raw:
         try:
-            raw.open_file(name)
-            size = raw.sizes
-            check_size(path, size.raw_width, size.raw_height)
-            raw.unpack()
-        except (
-            rawpy.LibRawError,
-            RuntimeError,
-            NotImplementedError,
-            OSError,
-            MemoryError,
-        ) as error:
-            if isinstance(error, InputError):
-                raise
+            with quiet_stderr():
+                raw.open_file(name)
+                size = raw.sizes
+                check_size(path, size.raw_width, size.raw_height)
+                raw.unpack()
+            yield raw
+        except (rawpy.LibRawError, RuntimeError, OSError, MemoryError) as error:
             raise _damaged(path, error) from None
-        yield raw
 
 
 def _damaged(path: str | os.PathLike[str], error: Exception) -> InputError:
@@ -154,10 +144,7 @@ def _values(
             f"{path}: expected a mosaic or a linear DNG, got colours that the camera mixed (sRAW, "
             "Foveon); convert it to a linear DNG or a linear 16-bit TIFF"
         )
-    try:
-        whole = raw.raw_image
-    except RuntimeError as error:
-        raise _damaged(path, error) from None
+    whole = raw.raw_image
     top, left, height, width = size.top_margin, size.left_margin, size.height, size.width
     inner = (size.crop_top_margin, size.crop_left_margin, size.crop_height, size.crop_width)
     if (
@@ -177,10 +164,7 @@ def _cells(
 ) -> tuple[NDArray[np.intp], str | None]:
     """`[2, 2]` LibRaw's numbers of the colours at the upper left, and the Bayer pattern."""
     none = np.zeros((2, 2), np.intp)
-    try:
-        numbers = raw.raw_pattern
-    except NotImplementedError as error:
-        raise _damaged(path, error) from None
+    numbers = raw.raw_pattern
     if numbers is None or raw.num_colors == 1:
         return none, None
     names = raw.color_desc.decode("latin-1")

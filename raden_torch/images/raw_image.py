@@ -59,6 +59,10 @@ class RawImage:
     tags: Mapping[int, Any]
     notes: tuple[str, ...]
 
+    @property
+    def is_grey(self) -> bool:
+        return self.pattern is None and self.values.ndim == 2
+
     def linear(self, white: float | None = None) -> Floats32:
         """`[H, W, 1 or 3]`: 0 at the black level, 1 at the white; noise may be below 0.
 
@@ -86,7 +90,7 @@ def raw_in_colour(image: RawImage, path: str | os.PathLike[str]) -> Floats32:
         InputError: a camera whose colours nobody knows.
     """
     linear = image.linear()
-    if linear.shape[2] == 1 and image.pattern is None:
+    if image.is_grey:
         return np.repeat(linear, 3, 2)
     if image.colour is None:
         raise InputError(

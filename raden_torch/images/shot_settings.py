@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -92,14 +92,14 @@ def check_alike(shots: Sequence[tuple[Path, ShotSettings]]) -> None:
     """
     known: dict[str, tuple[Path, Any]] = {}
     for path, shot in shots:
-        for field in fields(shot):
-            value = getattr(shot, field.name)
-            if field.name not in _ALIKE or value is None:
+        for name, word in _ALIKE.items():
+            value = getattr(shot, name)
+            if value is None:
                 continue
-            first, wanted = known.setdefault(field.name, (path, value))
-            if not _same(value, wanted):
+            first, wanted = known.setdefault(name, (path, value))
+            if not same_setting(value, wanted):
                 raise InputError(
-                    f"{path}: {_ALIKE[field.name]}: expected {_said(wanted)} as in {first}, got "
+                    f"{path}: {word}: expected {_said(wanted)} as in {first}, got "
                     f"{_said(value)}; photographs that belong together are of one camera, lens "
                     "and zoom, with one setting"
                 )
@@ -119,14 +119,14 @@ def relative_exposures(shots: Sequence[tuple[Path, ShotSettings]]) -> list[float
     for name, (power, word) in _EXPOSES.items():
         values = [getattr(shot, name) for _, shot in shots]
         there = [value for value in values if value is not None]
-        if all(_same(value, there[0]) for value in there):
+        if all(same_setting(value, there[0]) for value in there):
             continue
         if len(there) < len(values):
             raise InputError(
                 f"{shots[values.index(None)][0]}: expected its {word} in its EXIF, since it "
                 "differs between the others, got none"
             )
-        changed[word] = next(k for k, v in enumerate(values) if not _same(v, values[0]))
+        changed[word] = next(k for k, v in enumerate(values) if not same_setting(v, values[0]))
         found = [f * (v / values[0]) ** power for f, v in zip(found, values, strict=True)]
     if not changed:
         return None
@@ -148,7 +148,8 @@ def positive(value: Any) -> float | None:
     return number if 0 < number < float("inf") else None
 
 
-def _same(value: Any, wanted: Any) -> bool:
+def same_setting(value: Any, wanted: Any) -> bool:
+    """Whether two values of one setting are the same; cameras round numbers otherwise."""
     if isinstance(value, float):
         return abs(value / wanted - 1) <= _NEAR
     return bool(value == wanted)

@@ -10,10 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from raden_torch.errors import InputError
+from raden_torch.images.header import read_header
 from raden_torch.images.heif import NAME as HEIC
 from raden_torch.images.heif import said_of_heic
 from raden_torch.images.other_formats import other_format
-from raden_torch.images.raw import begins_as_raw, is_raw
+from raden_torch.images.pixels import read_image
+from raden_torch.images.raw import begins_as_raw, is_raw, read_raw
 from raden_torch.images.shot_settings import settings_in_words, settings_of
 from raden_torch.packages import require
 
@@ -101,9 +103,6 @@ def recognises_image(head: bytes) -> bool:
 
 def describe_image(path: Path) -> str:
     """Size, channels, bits, and what the file says of itself; why it is not read, if it is not."""
-    from raden_torch.images.header import read_header
-    from raden_torch.images.pixels import read_image
-
     if is_raw(path):
         return _describe_raw(path)
     other = other_format(path)
@@ -135,15 +134,13 @@ def describe_image(path: Path) -> str:
 
 
 def _describe_raw(path: Path) -> str:
-    from raden_torch.images.raw import read_raw
-
     raw = read_raw(path)
     height, width = raw.values.shape[:2]
     black = ", ".join(f"{level:g}" for level in dict.fromkeys(raw.black.ravel().tolist()))
     if raw.pattern is not None:
         held = f"Bayer mosaic {raw.pattern}"
     else:
-        held = "linear colours" if raw.values.ndim == 3 else "grey"
+        held = "grey" if raw.is_grey else "linear colours"
     lines = [
         f"camera raw file: {width} x {height} pixels (width x height)",
         f"{held}; black level {black}, white level {raw.white:g}",
@@ -152,7 +149,7 @@ def _describe_raw(path: Path) -> str:
     if raw.colour is not None:
         balance = ", ".join(f"{share:.3f}" for share in raw.colour.balance)
         lines.append(f"colours: {raw.colour.source} ({balance})")
-    elif held != "grey":
+    elif not raw.is_grey:
         lines.append("colours: an unknown camera; `raden capture colour` measures them")
     return "\n".join([*lines, *raw.notes])
 

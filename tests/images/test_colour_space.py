@@ -26,6 +26,7 @@ from raden_torch.images.header import ColourTags
 from raden_torch.images.icc import has_lookup_tables
 from raden_torch.images.lookup_profile import LookupProfile
 from raden_torch.images.pixels import read_image
+from tests.tiff import tiff
 
 # published colorants under D50 (Apple's Display P3; Adobe RGB 1998; ROMM RGB), red, green, blue
 P3 = [(0.51512, 0.2412, -0.00105), (0.29198, 0.69225, 0.04189), (0.1571, 0.06657, 0.78407)]
@@ -336,7 +337,7 @@ def test_photographs_with_tables(tmp_path: Path, depth: int) -> None:
     stored = np.sort(np.random.default_rng(0).integers(0, levels + 1, (20, 30, 3)), axis=1)
     path = tmp_path / "a.tif"
     kind = np.uint8 if depth == 8 else np.uint16
-    write_tiff(path, stored.astype(kind), profile)
+    path.write_bytes(tiff(stored.astype(kind), _34675=(7, profile)))
     expected = srgb_curve(stored / levels)
     photo = read_linear(path)
     np.testing.assert_allclose(photo.linear, expected, atol=5e-4)
@@ -349,27 +350,3 @@ def test_photographs_with_tables(tmp_path: Path, depth: int) -> None:
     for read in (read_linear, read_photograph):
         with pytest.raises(InputError, match=r"a\.tif: expected a profile with primaries"):
             read(path, coded="linear")
-
-
-def write_tiff(path: Path, values: np.ndarray, profile: bytes) -> None:
-    """RGB of 8 or 16 bits with an ICC profile; Pillow writes 8 bits alone."""
-    height, width, _ = values.shape
-    tags = [
-        *((256, 3, [width]), (257, 3, [height]), (258, 3, [8 * values.itemsize] * 3)),
-        *((262, 3, [2]), (273, 4, [8]), (277, 3, [3]), (278, 3, [height])),
-        *((279, 4, [values.nbytes]), (34675, 7, list(profile))),
-    ]
-    start, body = 8 + values.nbytes, b""
-    after = start + 2 + 12 * len(tags) + 4
-    entries = b""
-    for number, kind, numbers in tags:
-        data = struct.pack(f"<{len(numbers)}{ {3: 'H', 4: 'I', 7: 'B'}[kind] }", *numbers)
-        entries += struct.pack("<HHI", number, kind, len(numbers))
-        if len(data) > 4:
-            entries += struct.pack("<I", after + len(body))
-            body += data + bytes(len(data) % 2)
-        else:
-            entries += data.ljust(4, b"\0")
-    directory = struct.pack("<H", len(tags)) + entries + bytes(4) + body
-    pixels = values.astype(values.dtype.newbyteorder("<")).tobytes()
-    path.write_bytes(struct.pack("<2sHI", b"II", 42, start) + pixels + directory)

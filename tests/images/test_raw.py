@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -13,10 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from raden_torch.errors import InputError
-from raden_torch.images.mosaic import BAYER_PATTERNS, colour_masks
+from raden_torch.images.mosaic import BAYER_PATTERNS
+from raden_torch.images.other_formats import other_format
 from raden_torch.images.pixels import oriented
 from raden_torch.images.raw import is_raw, read_raw
 from raden_torch.images.raw_image import raw_in_colour
+from tests.dng import mosaic_of
 
 H, W = 24, 32
 D65 = np.array([0.95047, 1.0, 1.08883])
@@ -27,12 +30,6 @@ XYZ_TO_SRGB = np.array(
 
 def noise(shape: tuple[int, ...] = (H, W), most: int = 4095) -> np.ndarray:
     return np.random.default_rng(0).integers(0, most + 1, shape).astype(np.uint16)
-
-
-def mosaic_of(rgb: np.ndarray, pattern: str) -> np.ndarray:
-    """`[H, W, 3]` seen through the filters of a Bayer pattern."""
-    masks = colour_masks(pattern, *rgb.shape[:2])
-    return sum(rgb[..., i] * masks[c] for i, c in enumerate("RGB"))
 
 
 @settings(
@@ -251,9 +248,19 @@ def test_raw_files_are_known_by_their_content_and_by_their_names(
     for name, start, expected in (
         ("a.NEF", b"MM\0*", True),
         ("a", b"\0\0\0\x18ftypcrx ", True),
-        ("a", b"FUJIFILMCCD-RAW 0201", True),
-        ("a.tif", b"II*\0\x08\0\0\0", False),
+        ("b", b"FUJIFILMCCD-RAW 0201", True),
+        ("b.tif", b"II*\0\x08\0\0\0", False),
         ("a.png", b"\x89PNG\r\n\x1a\n", False),
     ):
-        assert is_raw(tmp_path / name, start) == expected
+        (tmp_path / name).write_bytes(start)
+        assert is_raw(tmp_path / name) == expected
     assert not is_raw(tmp_path / "none")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX's")
+def test_a_pipe_is_refused_before_it_is_looked_into(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    for look in (is_raw, other_format):
+        with pytest.raises(InputError, match="pipe: expected a file, got a pipe"):
+            look(pipe)

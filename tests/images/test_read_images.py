@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
 from raden_torch.images.mask import read_mask_pixels
 from raden_torch.images.pixels import oriented, read_image, read_pixels, write_pixels
+from tests.tiff import tiff
 
 H, W = 6, 7
 
@@ -28,62 +29,6 @@ def values(kind: str, channels: int = 3, seed: int = 0) -> np.ndarray:
     if dtype.kind == "f":
         return (2 * rng.random(shape)).astype(dtype)
     return rng.integers(0, np.iinfo(dtype).max, shape, endpoint=True).astype(dtype)
-
-
-def tiff(
-    pixels: np.ndarray,
-    *,
-    photometric: int | None = None,
-    extra: Sequence[int] = (),
-    planar: bool = False,
-    pages: int = 1,
-    **tags: tuple[int, list[int]],
-) -> bytes:
-    """An uncompressed little-endian TIFF (TIFF 6.0), written out here so that nothing is shared.
-
-    Args:
-        tags: `_274=(3, [6])` and the like: type and values.
-    """
-    height, width = pixels.shape[:2]
-    channels = 1 if pixels.ndim == 2 else pixels.shape[2]
-    if photometric is None:
-        photometric = 2 if channels - len(extra) >= 3 else 1
-    stored = np.moveaxis(pixels, -1, 0) if planar else pixels
-    data = stored.astype(stored.dtype.newbyteorder("<")).tobytes()
-    strips = channels if planar else 1
-    entries: dict[int, tuple[int, list[int]]] = {
-        256: (4, [width]),
-        257: (4, [height]),
-        258: (3, [8 * pixels.dtype.itemsize] * channels),
-        259: (3, [1]),
-        262: (3, [photometric]),
-        273: (4, [8 + k * len(data) // strips for k in range(strips)]),
-        277: (3, [channels]),
-        278: (4, [height]),
-        279: (4, [len(data) // strips] * strips),
-        284: (3, [2 if planar else 1]),
-        339: (3, [{"u": 1, "i": 2, "f": 3}[pixels.dtype.kind]] * channels),
-    }
-    if extra:
-        entries[338] = (3, list(extra))
-    entries |= {int(name[1:]): entry for name, entry in tags.items()}
-    out = b"II*\0" + struct.pack("<I", 8 + len(data)) + data
-    for page in range(pages):
-        after = len(out) + 2 + 12 * len(entries) + 4
-        body, blob = b"", b""
-        for tag, (kind, numbers) in sorted(entries.items()):
-            raw = struct.pack(
-                f"<{len(numbers)}{ {1: 'B', 2: 'B', 3: 'H', 4: 'I'}[kind] }", *numbers
-            )
-            if len(raw) > 4:
-                raw, blob = (
-                    struct.pack("<I", after + len(blob)),
-                    blob + raw + b"\0" * (len(raw) % 2),
-                )
-            body += struct.pack("<HHI", tag, kind, len(numbers)) + raw.ljust(4, b"\0")
-        following = after + len(blob) if page < pages - 1 else 0
-        out += struct.pack("<H", len(entries)) + body + struct.pack("<I", following) + blob
-    return out
 
 
 def png(pixels: np.ndarray, colour_type: int, *chunks: tuple[bytes, bytes]) -> bytes:

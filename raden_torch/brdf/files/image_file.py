@@ -78,10 +78,13 @@ def read_photograph(
 
     Args:
         coded: whether whole numbers are what the file's profile says (sRGB where it has none), or
-            linear light of its primaries, as a camera's raw converter may write it.
+            linear light of its primaries, as a camera's raw converter may write it. A raw file is
+            linear whatever is said here.
 
     Raises:
-        InputError: as for `read_image` and `colour_space_of`; or whole numbers of other sizes.
+        InputError: as for `read_image`, `colour_space_of` and `float_matrix`, of a raw file as for
+            `read_raw` and `raw_in_colour`; whole numbers of other sizes; linear light with a
+            profile of lookup tables; an EXR without colours.
 
     Warns:
         UserWarning: an 8- or 16-bit photograph with colours that sRGB cannot hold; of a raw file

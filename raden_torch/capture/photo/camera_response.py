@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from raden_torch.arrays import Floats32
-from raden_torch.capture.photo.photograph import read_stored
 from raden_torch.errors import InputError
-from raden_torch.images.pixels import read_pixels
+from raden_torch.images.pixels import read_image
 from raden_torch.images.raw import is_raw
 
 
@@ -38,12 +37,12 @@ def recover_response(
         )
     stored = []
     for path in paths:
-        if is_raw(path) or read_pixels(path, colour=False).dtype != np.uint8:
+        if is_raw(path) or (pixels := read_image(path).rgb).dtype != np.uint8:
             raise InputError(
                 f"{path}: expected 8 bits, got more; raw and 16-bit files need no response"
             )
-        stored.append(read_stored(path))
-        if stored[-1].shape != stored[0].shape:
+        stored.append(pixels)
+        if pixels.shape != stored[0].shape:
             raise InputError(f"{path}: expected the size of {paths[0]}, got another")
     solver = cv2.createCalibrateDebevec(samples, 20.0, False)
     curve = solver.process(stored, np.asarray(exposures_s, np.float32)).reshape(256, 3)

@@ -21,7 +21,6 @@ from raden_torch.capture.photo.exposures import Radiance
 from raden_torch.capture.photo.photograph import Photograph, read_linear, read_stored, shown
 from raden_torch.capture.photo.result_file import check_result_path
 from raden_torch.errors import InputError
-from raden_torch.images.colour_space import in_srgb
 from raden_torch.images.mosaic import looks_like_mosaic, possible_patterns
 from raden_torch.images.pixels import read_pixels, write_pixels
 from raden_torch.images.raw import is_raw
@@ -103,12 +102,10 @@ def _found(
     paths: Sequence[PathLike], how: Development, corners: NDArray[Any] | None
 ) -> tuple[Photograph, Radiance | None, Patches, list[Chart]]:
     photo, merged = developed(paths, how)
-    if photo.colour is not None:
-        seen = shown(in_srgb(photo.linear, photo.colour.to_srgb))
-    elif len(paths) == 1 and photo.pattern is None:
+    if len(paths) == 1 and photo.colour is None and photo.pattern is None:
         seen = read_stored(paths[0])  # the tone curve in it was made for looking
     else:
-        seen = shown(photo.linear)
+        seen = photo.seen
     name = str(paths[0])
     charts = find_charts(seen, name) if corners is None else [chart_at(seen, corners, name)]
     return photo, merged, read_patches(photo, charts[0]), charts

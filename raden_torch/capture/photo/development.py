@@ -13,7 +13,7 @@ from raden_torch.capture.photo.camera_response import recover_response
 from raden_torch.capture.photo.dark_and_flat import flat_field, flatten, subtract_dark
 from raden_torch.capture.photo.exposures import Radiance, merge_exposures
 from raden_torch.capture.photo.photograph import Photograph, check_same_size, read_linear
-from raden_torch.capture.photo.stored_photograph import Coding
+from raden_torch.capture.photo.stored_photograph import Coding, read_photograph
 from raden_torch.errors import InputError
 
 PathLike = str | os.PathLike[str]
@@ -118,7 +118,9 @@ def _times(paths: Sequence[PathLike], stated: Sequence[float], what: str) -> Seq
 def _stated(paths: Sequence[PathLike], times: Sequence[float | None]) -> list[float]:
     found = []
     for path, stated in zip(paths, times, strict=True):
-        seconds = read_linear(path).exposure_s if stated is None else stated
+        seconds = stated
+        if seconds is None:
+            seconds = read_photograph(Path(path)).settings.exposure_s
         if seconds is None:
             raise InputError(f"{path}: no exposure time in its EXIF; state it for each photograph")
         found.append(seconds)

@@ -14,7 +14,7 @@ from raden_torch.capture.photo.linearity import Linearity, linearity_of
 from raden_torch.capture.photo.noise_fit import fit_noise
 from raden_torch.capture.photo.photograph import Photograph, check_same_size
 from raden_torch.errors import InputError
-from raden_torch.images.shot_settings import check_alike
+from raden_torch.images.shot_settings import check_alike, same_setting
 
 CEILING = 0.9
 """Share of the white level above which a value counts as saturated too: sensors bend there."""
@@ -57,8 +57,9 @@ def merge_exposures(
         noise: the camera's; else it is found from how the exposures scatter.
 
     Raises:
-        InputError: a photograph without exposure time, different sizes, ISO or apertures, or
-            saturated nearly everywhere in every exposure.
+        InputError: no photographs; one without exposure time; different sizes, channels, bits, ISO,
+            apertures, cameras, lenses, focal lengths or white balances; saturated nearly everywhere
+            in every exposure.
     """
     times = _checked(photos)
     usable = [unsaturated(photo, ceiling) for photo in photos]
@@ -116,7 +117,7 @@ def _checked(photos: Sequence[Photograph]) -> list[float]:
             ("ISO", own.iso, wanted_of.iso),
             ("aperture f/", own.f_number, wanted_of.f_number),
         ):
-            if have and wanted and abs(have / wanted - 1) > 0.01:
+            if have and wanted and not same_setting(have, wanted):
                 raise InputError(
                     f"{photo.path}: expected {name} {wanted:g} as in {first.path}, got {have:g}; "
                     "only the exposure time may change"

@@ -63,6 +63,12 @@ class Photograph:
         height, width = self.saturated.shape
         return height, width
 
+    @property
+    def seen(self) -> NDArray[np.uint8]:
+        """`[H, W, 3]` of an RGB photograph for a person or a detector, by `shown`; the camera's RGB
+        where nobody knows its way to sRGB's."""
+        return shown(in_srgb(self.linear, None if self.colour is None else self.colour.to_srgb))
+
 
 def read_linear(
     path: str | os.PathLike[str],
@@ -97,7 +103,8 @@ def read_linear(
             known; whole numbers of which only the low bytes are left.
 
     Warns:
-        UserWarning: a 16-bit file that holds 8-bit values.
+        UserWarning: a 16-bit file that holds 8-bit values; a raw file that asks for corrections
+            which are not made.
     """
     photo = read_photograph(Path(path), coded)
     mosaic = bayer_pattern(photo, pattern)
@@ -131,8 +138,7 @@ def read_stored(path: str | os.PathLike[str]) -> NDArray[Any]:
     """
     path = Path(path)
     if is_raw(path):
-        photo = read_linear(path)
-        return shown(in_srgb(photo.linear, None if photo.colour is None else photo.colour.to_srgb))
+        return read_linear(path).seen
     is_exr = path.suffix.lower() == ".exr"
     pixels: NDArray[Any] = exr_colour(path) if is_exr else read_image(path).rgb
     if pixels.dtype == np.uint8:

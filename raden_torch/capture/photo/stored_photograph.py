@@ -24,7 +24,7 @@ from raden_torch.images.mosaic import (
     BAYER_PATTERNS,
     looks_like_mosaic,
     possible_patterns,
-    turned_cells,
+    turned_pattern,
 )
 from raden_torch.images.pixels import StoredImage, read_image
 from raden_torch.images.raw import is_raw, read_raw
@@ -48,8 +48,9 @@ class StoredPhotograph:
         values: `[H, W]` or `[H, W, 3]` whole numbers of 8 or 16 bits, or floats.
         space: what the file says of its colours; None where it says nothing, or is not asked.
         matrix: `[3, 3]` from its linear RGB to that of sRGB's primaries; None where they are these.
-        pattern: the Bayer pattern by its CFA tag, turned as the picture is.
-        white_level: the stored value at which the sensor saturates, by its tags.
+        pattern: the Bayer pattern by its CFA tag, or of a raw file, turned as the picture is.
+        white_level: the stored value at which the sensor saturates, by its tags; a raw file has its
+            own.
         settings: of the camera, by EXIF.
         raw: a camera's raw file, whose `values` these are.
     """
@@ -107,7 +108,7 @@ def bayer_pattern(photo: StoredPhotograph, stated: str | None) -> str | None:
             raise InputError(
                 f"{path}: expected no pattern for a raw file, which says its own, got {stated}"
             )
-        return photo.raw.pattern
+        return photo.pattern
     if stored.ndim == 3:
         if stated is not None and stated.upper() != "NONE":
             raise InputError(
@@ -147,11 +148,11 @@ def _raw_photograph(path: Path, coded: Coding) -> StoredPhotograph:
         )
     raw = read_raw(path)
     for note in raw.notes:
-        warnings.warn(f"{path}: {note}", stacklevel=5)
+        warnings.warn(f"{path}: {note}", stacklevel=4)
     return StoredPhotograph(
         path,
         raw.values,
-        white_level=raw.white,
+        pattern=raw.pattern,
         settings=settings_of(raw.tags, is_raw=True),
         raw=raw,
     )
@@ -218,5 +219,4 @@ def _turned(pattern: str, image: StoredImage) -> str:
     way, (height, width) = image.header.orientation, image.pixels.shape[:2]
     if way >= 5:
         height, width = width, height
-    turned = turned_cells(np.array(list(pattern)).reshape(2, 2), way, (height, width))
-    return "".join(turned.ravel())
+    return turned_pattern(pattern, way, (height, width))

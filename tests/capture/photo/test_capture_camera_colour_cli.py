@@ -16,7 +16,7 @@ from raden_torch.capture.photo.board import Board
 from raden_torch.capture.photo.capture_colour import capture_colour
 from raden_torch.capture.photo.development import Development
 from raden_torch.errors import InputError
-from raden_torch.images.mosaic import colour_masks
+from tests.dng import mosaic_of
 
 BOARD = ("--squares", "5x7", "--square", "0.04", "--marker", "0.02")
 
@@ -101,8 +101,7 @@ def test_colour_of_a_stack_of_mosaics(
 ) -> None:
     """No pattern is stated: the greens are found in the mosaic, red and blue by the chart."""
     scene = chart_scene(noise=0.0, exposure=1.0)
-    masks = colour_masks("BGGR", *scene.linear.shape[:2])
-    mosaic = sum(scene.linear[..., i] * masks[c] for i, c in enumerate("RGB"))
+    mosaic = mosaic_of(scene.linear, "BGGR")
     rng = np.random.default_rng(6)
     files, times = [], []
     for seconds in (0.25, 1.0, 4.0):

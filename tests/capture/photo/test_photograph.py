@@ -17,11 +17,11 @@ from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
 from raden_torch.images.mosaic import (
     BAYER_PATTERNS,
-    colour_masks,
     demosaiced,
     looks_like_mosaic,
     possible_patterns,
 )
+from tests.dng import mosaic_of
 
 H, W = 24, 32
 
@@ -118,11 +118,10 @@ def test_demosaicing(pattern: str) -> None:
     a constant everywhere; it is linear, so it commutes with subtracting a dark frame."""
     y, x = np.mgrid[0:H, 0:W].astype(float)
     rgb = np.stack([0.2 + 0.01 * x, 0.5 + 0.005 * y, 0.3 + 0.002 * (x + y)], -1)
-    masks = colour_masks(pattern, H, W)
-    mosaic = sum(rgb[..., i] * masks[c] for i, c in enumerate("RGB"))
-    assert masks["G"].sum() == 2 * masks["R"].sum() == 2 * masks["B"].sum()
+    mosaic = mosaic_of(rgb, pattern)
     np.testing.assert_allclose(demosaiced(mosaic, pattern)[2:-2, 2:-2], rgb[2:-2, 2:-2], atol=1e-6)
-    flat = sum(v * masks[c] for v, c in zip((0.1, 0.2, 0.3), "RGB", strict=True))
+    flat = mosaic_of(np.tile([0.1, 0.2, 0.3], (H, W, 1)), pattern)
+    assert (flat == 0.2).sum() == 2 * (flat == 0.1).sum() == 2 * (flat == 0.3).sum()
     np.testing.assert_allclose(demosaiced(flat, pattern), np.tile([0.1, 0.2, 0.3], (H, W, 1)))
     both = demosaiced(mosaic - flat, pattern)
     np.testing.assert_allclose(
@@ -134,9 +133,7 @@ def test_demosaicing(pattern: str) -> None:
 def test_mosaics_are_noticed(tmp_path: Path, pattern: str) -> None:
     rng = np.random.default_rng(1)
     rgb = cv2.GaussianBlur(rng.random((64, 64, 3)), (0, 0), 3) * [1.0, 0.8, 0.4]
-    masks = colour_masks(pattern, 64, 64)
-    mosaic = np.rint(255 * sum(rgb[..., i] * masks[c] for i, c in enumerate("RGB")))
-    mosaic = mosaic.astype(np.uint8)
+    mosaic = np.rint(255 * mosaic_of(rgb, pattern)).astype(np.uint8)
     assert looks_like_mosaic(mosaic)
     assert not looks_like_mosaic(np.rint(255 * rgb[..., 0]).astype(np.uint8))
     assert pattern in possible_patterns(mosaic)
@@ -146,7 +143,8 @@ def test_mosaics_are_noticed(tmp_path: Path, pattern: str) -> None:
     photo = read_linear(path, pattern=pattern)
     assert photo.pattern == pattern
     # linear without being told, unlike colour files
-    np.testing.assert_allclose(photo.linear[masks["G"], 1], mosaic[masks["G"]] / 255, atol=1e-6)
+    green = mosaic_of(np.tile([0, 1, 0], (64, 64, 1)), pattern) == 1
+    np.testing.assert_allclose(photo.linear[green, 1], mosaic[green] / 255, atol=1e-6)
     kept = read_linear(path, pattern=pattern, keep_mosaic=True)
     np.testing.assert_allclose(kept.linear[..., 0], mosaic / 255, atol=1e-7)
     tags = {33421: (2, 2), 33422: bytes("RGB".index(c) for c in pattern)}
@@ -229,8 +227,7 @@ def test_alpha_and_palettes(tmp_path: Path, mode: str) -> None:
 def test_a_turned_mosaic(tmp_path: Path, orientation: int, size: tuple[int, int]) -> None:
     """The CFA tag is of the pixels as stored. Expected: colours as without the turn, turned."""
     height, width = size
-    masks = colour_masks("GRBG", height, width)
-    stored = sum(masks[c] * v for c, v in zip("RGB", (40, 90, 160), strict=True)).astype(np.uint8)
+    stored = mosaic_of(np.tile([40, 90, 160], (height, width, 1)), "GRBG").astype(np.uint8)
     tags = {33421: (2, 2), 33422: bytes("RGB".index(c) for c in "GRBG"), 274: orientation}
     Image.fromarray(stored).save(tmp_path / "a.tif", tiffinfo=tags)
     photo = read_linear(tmp_path / "a.tif")

@@ -17,8 +17,8 @@ from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.development import developed
 from raden_torch.capture.photo.photograph import read_linear, read_stored
 from raden_torch.errors import InputError
-from raden_torch.images.mosaic import colour_masks
 from raden_torch.images.shot_settings import ShotSettings
+from tests.dng import mosaic_of
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 H, W = 24, 32
@@ -28,8 +28,7 @@ SET_SO = {33434: (5, [1 / 50]), 33437: (5, [4.0]), 34855: (3, 100), 37386: (5, [
 
 def counted(linear: np.ndarray, pattern: str = "RGGB") -> np.ndarray:
     """What a sensor of 12 bits counts of `[H, W, 3]` in units of its white level."""
-    masks = colour_masks(pattern, *linear.shape[:2])
-    mosaic = sum(linear[..., i] * masks[c] for i, c in enumerate("RGB"))
+    mosaic = mosaic_of(linear, pattern)
     return np.clip(np.rint(BLACK + (WHITE - BLACK) * mosaic), 0, WHITE).astype(np.uint16)
 
 
@@ -158,6 +157,18 @@ def test_a_raw_file_is_relit(
     assert said in done.stderr
     left = cv2.imread(str(relit), cv2.IMREAD_UNCHANGED)[4, 4, ::-1] / 65535
     np.testing.assert_allclose(left, 1.055 * 0.4 ** (1 / 2.4) - 0.055, atol=2e-3)
+
+
+def test_where_the_colours_of_frames_are_from_is_said_once(
+    raden: Command, tmp_path: Path, write: Callable[..., Path], surface: list[object]
+) -> None:
+    """The first frame is read to plan the work, too."""
+    for number in (1, 2):
+        write(f"photo.{number:04}.dng", flat(0.2, 0.4, 0.1))
+    given = ["--frames", "1-2", "-o", tmp_path / "relit.####.png"]
+    done = raden("relight", tmp_path / "photo.####.dng", *surface, *given, warn="default")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("colours by the matrix of the file") == 1
 
 
 def test_a_camera_that_nobody_knows_is_relit_by_a_colour_file(

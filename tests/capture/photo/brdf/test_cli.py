@@ -17,9 +17,9 @@ import pytest
 from raden_torch.capture.exchange import load_measurement
 from raden_torch.capture.photo.brdf.capture_settings import WhiteFactorSpec
 from raden_torch.capture.photo.brdf.chart_white import chart_white
-from raden_torch.images.mosaic import colour_masks
 from raden_torch.images.raw import read_raw
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from tests.dng import mosaic_of
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -88,9 +88,7 @@ def test_raw_files_without_a_colour_file(
     black, raws = 1024, []
     for path in series.photos:
         rgb = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)[..., ::-1] / 65535
-        masks = colour_masks("GRBG", *rgb.shape[:2])
-        mosaic = sum(rgb[..., i] * masks[c] for i, c in enumerate("RGB"))
-        stored = np.rint(black + (65535 - black) * mosaic).astype(np.uint16)
+        stored = np.rint(black + (65535 - black) * mosaic_of(rgb, "GRBG")).astype(np.uint16)
         raw = path.with_suffix(".dng")
         raws.append(dng.write_dng(raw, stored, pattern="GRBG", black=black, neutral=(0.8, 1, 0.5)))
     out = tmp_path / "shell.csv"
