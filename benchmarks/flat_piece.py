@@ -22,6 +22,7 @@ import json
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -30,10 +31,7 @@ import torch
 
 import raden_torch as rt
 from raden_torch.capture.exchange import load_measurement
-from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
-from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
 from raden_torch.capture.photo.capture_brdf import capture_brdf
-from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.guide.choice import hemisphere_deg
 from raden_torch.capture.photo.guide.piece import Piece
 from raden_torch.capture.photo.guide.plan import Plan, plan_photographs
@@ -134,7 +132,7 @@ def shell_table(name: str) -> Table:
     t = both[both >= 0]  # the shells look the same from either side
     nodes = np.stack(np.meshgrid(a, both, t, indexing="ij"), -1)
     half = rt.simulate_specimen(name, geometries_deg=nodes.reshape(-1, 3)).values
-    half = (half / (100 * np.pi * D65_XYZ / 100)).reshape(*nodes.shape[:3], 3)
+    half = (half / (np.pi * D65_XYZ)).reshape(*nodes.shape[:3], 3)
     whole = np.concatenate([half[:, :, :0:-1], half], axis=2)
     first = np.radians([0, -_TABLE_TO_DEG, -_TABLE_TO_DEG])
     return Table(first, np.radians([_TABLE_STEP_DEG] * 3), whole.astype(np.float32))
@@ -159,19 +157,12 @@ def analytic(shell: str, set_up: str, counts: list[int]) -> list[dict[str, objec
 
 
 def cast(folder: Path, plan: Plan, table: Table) -> object:
-    """The ray caster's photographs; the board's y runs down its columns, z into it."""
+    """The ray caster's photographs."""
     import conftest as caster
 
-    flip = np.array([1.0, -1.0, -1.0])
     rod = plan.piece.shape == "cylinder"
     top = np.array([0.07, 0.06, -caster.ROD_RADIUS_M if rod else 0.0])
-    lamps = np.array([top + np.array(s.lamp_mm) * flip / 1000 for s in plan.stances])
-    poses = []
-    for stance in plan.stances:
-        x, y, z = np.array(stance.camera_mm) * flip
-        poses.append(
-            (float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(np.hypot(x, y), -z))))
-        )
+    lamps, poses = caster.planned_places(plan.stances, top)
 
     def brdf(normal: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
         helper = np.where(abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0.0, 1, 0]])
@@ -187,28 +178,11 @@ def measure(series: object, count: int, *, rod: bool) -> BrdfMeasurement:
     """`raden capture brdf --scattered` of the first photographs; camera and lamps are known."""
     import conftest as caster
 
-    sample = SampleSpec("plane", region_m=caster.FLAT_M)
-    if rod:
-        sample = SampleSpec("cylinder", series.mask, radius_mm=1000 * caster.ROD_RADIUS_M,
-                            axis_m=caster.ROD_M)  # fmt: skip
-    setup = CaptureSetup(
-        series.lights,
-        Path(str(series.extra["camera"])),
-        lamps=tuple(range(1, count + 1)),
-        seen_in=series.photos[0].name,
-        lamp_std_deg=0.1,
-        development=Development("linear"),
-    )
-    return capture_brdf(
-        series.photos[:count],
-        setup,
-        sample,
-        WhiteSpec(region_m=caster.WHITE_M),
-        WhiteFactor(0.9 * D65_XYZ),
-        scattered=True,
-        go_on=True,
-        metadata=Metadata("shell", simulated=True),
-    ).read
+    of = caster.board_setup(series, rod=rod)
+    of["photographs"] = series.photos[:count]
+    of["setup"] = replace(of["setup"], lamps=tuple(range(1, count + 1)))
+    metadata = Metadata("shell", simulated=True)
+    return capture_brdf(**of, scattered=True, go_on=True, metadata=metadata).read
 
 
 def of_folder(folder: Path, counts: list[int]) -> list[dict[str, object]]:

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -326,6 +327,20 @@ def board_series(tmp_path: Path) -> Callable[..., Series]:
     return make
 
 
+def planned_places(stances: Any, top: Array) -> tuple[Array, list[tuple[float, float]]]:
+    """Lamps and poses of `board_photographs` by a plan of `raden capture guide`: the piece's middle
+    stands at `top` on the board, whose y runs down its columns and z into it."""
+    flip = np.array([1.0, -1.0, -1.0])
+    lamps = np.array([top + np.array(s.lamp_mm) * flip / 1000 for s in stances])
+    poses = []
+    for stance in stances:
+        x, y, z = np.array(stance.camera_mm) * flip
+        poses.append(
+            (float(np.degrees(np.arctan2(y, x))), float(np.degrees(np.arctan2(np.hypot(x, y), -z))))
+        )
+    return lamps, poses
+
+
 def board_setup(series: Series, *, rod: bool = False, axis: bool = True) -> dict[str, object]:
     """The arguments of `capture_brdf` for such a series."""
     from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec, WhiteSpec
@@ -385,7 +400,7 @@ class BoardBench:
 
     def __init__(self, make: Callable[..., Series]) -> None:
         self.series, self.arguments, self.lamps = make, board_setup, board_lamps
-        self.truth_at = node_truth
+        self.truth_at, self.planned_places = node_truth, planned_places
 
     def run(self, case: str) -> CapturedBrdf:
         count, rod = 24, case != "plane"

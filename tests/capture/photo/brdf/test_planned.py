@@ -64,13 +64,7 @@ class Planned:
                                 assume="isotropic+reciprocal")  # fmt: skip
         self.path = folder / "plan.json"
         write_plan(plan, self.path)
-        flip = np.array([1.0, -1.0, -1.0])
-        lamps = np.array([[0.07, 0.06, 0] + np.array(s.lamp_mm) * flip / 1000
-                          for s in plan.stances])  # fmt: skip
-        poses = []
-        for stance in plan.stances:
-            x, y, z = np.array(stance.camera_mm) * flip
-            poses.append((np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(np.hypot(x, y), -z))))
+        lamps, poses = board.planned_places(plan.stances, np.array([0.07, 0.06, 0.0]))
         self.series = board.series(lamps, poses, name="planned")
         self.arguments = board.arguments(self.series)
 
