@@ -3,8 +3,9 @@
 The first BRDF is the one of a few bodies with highlights that explains a sample of the pixels best,
 each with the normals that it gives them. Then a BRDF is fitted to what the sample shows at the
 normals found so far, and the normals are found anew by it, until they stay. (From Lambertian
-normals alone this gets stuck: the BRDF that fits them explains them.) The object has to be of one
-isotropic material and its normals have to spread.
+normals alone this gets stuck: the BRDF that fits them explains them.) Where that ends worse than it
+began, as of a matt body, the first BRDF stays. The object has to be of one isotropic material and
+its normals have to spread.
 """
 
 from __future__ import annotations
@@ -40,14 +41,17 @@ class Alternated:
 
     Attributes:
         found: the normals of the pixels given.
-        material: what was fitted; its scale is that of the photographs.
+        material: its scale is that of the photographs.
         moved_deg: how far the normals of the sample moved in each turn, in the median.
+        gained: whether what was fitted explains them at least as well as the first body did;
+            otherwise `material` is that body.
         cost: of a pixel in the median; `lambertian`: by the Lambertian law.
     """
 
     found: ModelNormals
     material: RuntimeBrdf
     moved_deg: tuple[float, ...]
+    gained: bool
     cost: float
     lambertian: float
 
@@ -80,12 +84,13 @@ def alternate(
         )
     done = progress or (lambda share: None)
     bodies = [lobe(*each) for each in (_MATT, *_LOBES)]
-    first, costs = sampled(light, _FIRST_SAMPLE), []
+    few, costs = sampled(light, _FIRST_SAMPLE), []
     for place, body in enumerate(bodies):
-        costs.append(float(_with(body, first).cost.median()))
+        costs.append(float(_with(body, few).cost.median()))
         done(0.2 * (place + 1) / len(bodies))
     some = sampled(light, _SAMPLE)
-    found = _with(bodies[costs.index(min(costs))], some)
+    start = bodies[costs.index(min(costs))]
+    found = first = _with(start, some)
     _check_spread(found.normal)
     moved: list[float] = []
     for turn in range(_TURNS):
@@ -96,9 +101,11 @@ def alternate(
         done(0.2 + 0.3 * (turn + 1) / _TURNS)
         if moved[-1] <= _STAYS_DEG:
             break
+    gained = bool(found.cost.median() <= first.cost.median())
+    material = material if gained else start
     whole = solve_by_model([material], light, progress=lambda share: done(0.5 + 0.5 * share))
     cost = float(whole.cost.median())
-    return Alternated(whole, material, tuple(moved), cost, costs[0])
+    return Alternated(whole, material, tuple(moved), gained, cost, costs[0])
 
 
 def fit_at(light: ObservedLight, normal: Tensor) -> RuntimeBrdf:

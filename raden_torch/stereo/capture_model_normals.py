@@ -82,7 +82,12 @@ def capture_model_normals(
     if materials is None:
         learned = alternate(seen.sample, progress=lambda share: done(0.2 + 0.3 * share))
         materials, some = [learned.material], learned.found
-        if not learned.has_settled:
+        if not learned.gained:
+            notes.append(
+                "a BRDF fitted to the normals explains the photographs worse than the body it began "
+                "with, which is kept; compare with --method robust"
+            )
+        elif not learned.has_settled:
             notes.append(
                 f"normals and material have not settled: they still move by "
                 f"{learned.moved_deg[-1]:.1f} degrees a turn; more lamps, or a model, would help"

@@ -13,11 +13,17 @@ from hypothesis import strategies as st
 
 from raden_torch.brdf.materials.simulated_shell import SimulatedShell
 from raden_torch.brdf.materials.urushi import Lambertian
+from raden_torch.capture.photo.ball import ball_from_mask
+from raden_torch.capture.photo.capture_lights import capture_lights
+from raden_torch.capture.photo.lamps import write_lamps
+from raden_torch.capture.photo.matt_reference import angle_deg, sphere_normals
+from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.capture.photo.photometric_stereo import solve_normals
 from raden_torch.errors import InputError
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.optics.specimens import SPECIMENS, reflectance_factors
 from raden_torch.stereo.alternating import alternate
+from raden_torch.stereo.capture_model_normals import ModelOptions, capture_model_normals
 from raden_torch.stereo.lamp_assignment import check_order
 from raden_torch.stereo.normal_refine import refine
 from raden_torch.stereo.normal_search import hemisphere, tangents
@@ -170,6 +176,28 @@ def test_normals_and_material_in_turn(scene: Scene) -> None:
     found = alternate(scene.light)
     assert found.is_better
     assert np.median(off_deg(found.found.normal, scene.true)) < 0.6 * matt_error(scene)
+
+
+def test_of_a_matt_body_the_material_that_it_began_with_stays(shared: Path, tmp_path: Path) -> None:
+    """A real grey sphere, whose outline tells its normals: 4.0 degrees by the Lambertian law, and
+    where turns lead away from it, it stays, and says so."""
+    data, lights = shared / "data/photometric_stereo", tmp_path / "lights.json"
+    chrome, grey = ([data / f"{n}.{k}.png" for k in range(12)] for n in ("chrome", "gray"))
+    lamps = capture_lights(chrome, [data / "chrome.mask.png"], coded="linear").lamps
+    write_lamps(lamps, lights, made_from=chrome)
+    outline = read_mask(data / "gray.mask.png", (340, 512))
+    ball = ball_from_mask(outline, name="gray.mask.png")
+    true, _ = sphere_normals(ball, outline.shape)
+    inside = ball.inside(outline.shape, 0.95)
+    with (
+        pytest.warns(UserWarning, match="worse than the body it began with, which is kept"),
+        pytest.warns(UserWarning, match="explains the photographs clearly better than a matt"),
+    ):
+        found = capture_model_normals(
+            grey, lights, data / "gray.mask.png", ModelOptions(coded="linear")
+        )
+    off = angle_deg(found.surface.normal[0][:, inside], true[0][:, inside])
+    assert 3.5 < float(off.median()) < 4.5
 
 
 def test_what_cannot_be_found_in_turn_is_said(scene: Scene) -> None:

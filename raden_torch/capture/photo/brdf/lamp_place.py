@@ -6,7 +6,8 @@ reflectance at (s, u, t), s = (a + r)/2 and u = (a − r)/2, is that at (s, −u
 (s, −u, t): the highlight lies at the half vector, and what is divided by cos θi is alike on its
 two sides. A lamp that stands elsewhere than is said breaks this. Gauss–Newton on its two angles
 finds where it mends; no other photograph is asked, so that a lamp whose cells no other fills is
-told, too.
+told, too. A sphere has all these geometries beside each other; of a plane and a cylinder too few
+are, and what they say of a lamp is not reliable.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from raden_torch.capture.photo.brdf.lighting import LEAN_DEG, Lamp
 from raden_torch.capture.photo.brdf.photo_series import PhotoSeries
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
 from raden_torch.capture.photo.brdf.sample_moves import SamplesByShot, ShotSamples
+from raden_torch.capture.photo.brdf.sample_shapes import Sphere
 
 LEAST_DEG = 0.5
 """An offset below this is not told of."""
@@ -94,12 +96,14 @@ class LampPlace:
 
 
 def lamp_places(by_shot: SamplesByShot, kept: Reservoir, series: PhotoSeries) -> LampPlace:
-    """Of each shot, from its chosen samples."""
+    """Of each shot of a sphere, from its chosen samples; of other shapes nothing is known."""
     count = len(series.lamps)
     lean, covariance = np.full((count, 2), np.nan), np.full((count, 2, 2), np.nan)
     towards = np.full((count, 3), np.nan)
     for k in range(count):
         part = by_shot.of(k, at_most=_MOST)
+        if not isinstance(part.shape, Sphere):
+            continue
         found = _placed(part, kept.y[part.rows].mean(axis=1).astype(np.float64))
         if found is None:
             continue

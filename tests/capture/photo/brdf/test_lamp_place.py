@@ -59,6 +59,13 @@ def test_a_lamp_that_is_off_is_named_with_its_offset(
     assert found.places.offset_deg[4] == pytest.approx(abs(by_deg), abs=0.5)
 
 
+def test_a_rod_says_nothing_of_its_lamps(board: Any) -> None:
+    """It has few of the geometries that ought to be alike: lamps that are right were named."""
+    series = board.series(board.lamps(4), [(15.0, 25.0)] * 4, rod=True)
+    found = capture_brdf(**board.arguments(series, rod=True), go_on=True)
+    assert np.isnan(found.places.lean_deg).all()
+
+
 def test_a_matt_sphere_tells_by_its_shading(
     sphere: Any, sphere_series: Callable[..., Series]
 ) -> None:
