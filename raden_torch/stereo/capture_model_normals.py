@@ -84,8 +84,8 @@ def capture_model_normals(
         materials, some = [learned.material], learned.found
         if not learned.gained:
             notes.append(
-                "a BRDF fitted to the normals explains the photographs worse than the body it began "
-                "with, which is kept; compare with --method robust"
+                "a BRDF fitted to the normals explains the photographs worse than the body it "
+                "began with, which is kept; compare with --method robust"
             )
         elif not learned.has_settled:
             notes.append(
