@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
+from raden_torch.errors import InputError
+
 if TYPE_CHECKING:
     from raden_torch.capture.photo.development import Development
 
@@ -42,18 +44,25 @@ class DevelopmentOptions:
     """exposure time in seconds of each dark frame; by default from EXIF"""
     flat: Path | None = None
     """flat field: photograph of an evenly lit white sheet"""
+    response_file: Path | None = None
+    """tone curve of the camera's 8-bit files, as `raden capture handheld` found it; before
+    --coded"""
 
     @property
     def files(self) -> tuple[Path | None, ...]:
         """What is read beside the photographs."""
-        return self.flat, *self.dark
+        return self.flat, self.response_file, *self.dark
 
     def development(self, *, response: bool = False) -> Development:
         """For the library; `response`: recover the response from the photographs."""
         from raden_torch.capture.photo.development import Development
+        from raden_torch.capture.photo.handheld.response_fit import read_response
 
+        if response and self.response_file is not None:
+            raise InputError("--response and --response-file are two tone curves; give one")
+        known = None if self.response_file is None else read_response(self.response_file)
         return Development(
-            coded=self.coded,
+            coded=self.coded if known is None else known,
             pattern=self.pattern,
             white_level=self.white_level,
             exposures_s=self.exposure_s,

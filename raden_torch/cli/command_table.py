@@ -203,6 +203,13 @@ _CAPTURE_COMMANDS = (
         "-o plan.png",
     ),
     (
+        "handheld_command:handheld",
+        "Choose pictures of a phone's video or stills; find their camera, lamp and tone curve.",
+        "raden capture handheld walk.mp4 --squares 11x9 --square 0.016 --marker 0.012 "
+        "--region '0.05,0.04 0.11,0.04 0.11,0.10 0.05,0.10' "
+        "--white-region '0.13,0.04 0.15,0.04 0.15,0.06 0.13,0.06' --ball 0.03,0.12,8 -o walk",
+    ),
+    (
         "segment_command:segment",
         "Propose which pixels of a photographed inlay show which shell: a palette's map.",
         "raden capture segment lamp*.png --shells 3 -o map.png",

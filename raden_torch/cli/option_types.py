@@ -101,6 +101,14 @@ def _triple(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
+def _five(text: str) -> tuple[float, float, float, float, float]:
+    try:
+        a, b, c, d, e = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"expected five numbers as 0.1,0.02,30,0.14,0.05, got {text}") from None
+    return a, b, c, d, e
+
+
 def _pair(text: str) -> tuple[str, str]:
     name, equals, value = text.partition("=")
     if not (name and equals and value):
@@ -259,6 +267,10 @@ def _lamp_or_file(text: str) -> tuple[float, float, float] | Path:
 
 
 Triple = Annotated[tuple[float, float, float], _read(_triple, "X,Y,Z")]
+Triples = Annotated[tuple[tuple[float, float, float], ...], _read_all(_triple, "X,Y,NUMBER")]
+Five = Annotated[
+    tuple[tuple[float, float, float, float, float], ...], _read_all(_five, "X,Y,HEIGHT,X,Y")
+]
 Exposed = Annotated[
     float | Literal["auto", "key"], _read(_exposed, "STOPS|auto|key", show_choices=False)
 ]
@@ -273,6 +285,7 @@ ReachMm = Annotated[
 Squares = Annotated[tuple[int, int], _read(_squares, "COLUMNSxROWS")]
 CornersPx = Annotated[Points, _read(_corners_px, "POINTS")]
 Region = Annotated[Points, _read(_region, "POINTS")]
+Regions = Annotated[tuple[Points, ...], _read_all(_region, "POINTS")]
 RaisedRegions = Annotated[
     tuple[tuple[tuple[float, ...], ...], ...], _read_all(_raised_region, "POINTS")
 ]

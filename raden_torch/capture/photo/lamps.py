@@ -41,6 +41,8 @@ class Lamps:
         unit: of positions: "px" without a camera, else the unit of the ball's radius.
         exponent: of the camera's response, as a reference sphere gave it; 1 is linear.
         names: the photographs, in order.
+        photographs: of each lamp the names of all that were taken under it; empty where each lamp
+            is one photograph's.
         notes: what a person should know of these lamps.
         matrix: `[3, 3]` of the camera (pixels, x right, y down) where there was one.
         distortion: of its lens, as OpenCV has it.
@@ -62,6 +64,7 @@ class Lamps:
     distortion: Floats | None = None
     tint: Floats | None = None
     std_deg: Floats | None = None
+    photographs: tuple[tuple[str, ...], ...] = ()
 
     def __len__(self) -> int:
         return len(self.direction)
@@ -142,6 +145,7 @@ class LampEntry(Struct):
     position_px: Triple | None = None
     position_mm: Triple | None = None
     direction_std_deg: Positive | None = None
+    photographs: tuple[str, ...] = ()
 
 
 class LightsFile(Struct):
@@ -225,6 +229,7 @@ def write_lamps(
         | ({} if lamps.std_deg is None else {"direction_std_deg": _digits(lamps.std_deg[k])})
         | ({} if lamps.tint is None else {"tint_rgb": np.round(lamps.tint[k], 5)})
         | ({} if lamps.position is None else {f"position_{lamps.unit}": lamps.position[k]})
+        | ({"photographs": list(lamps.photographs[k])} if lamps.photographs else {})
         for k, name in enumerate(lamps.names or [str(k) for k in range(len(lamps))])
     ]
     found = [
@@ -274,7 +279,13 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
         tint=_column(path, found.lamps, "tint_rgb"),
         names=tuple(lamp.photograph for lamp in found.lamps),
         std_deg=_column(path, found.lamps, "direction_std_deg"),
+        photographs=_photographs(found.lamps),
     )
+
+
+def _photographs(lamps: Sequence[LampEntry]) -> tuple[tuple[str, ...], ...]:
+    named = tuple(lamp.photographs for lamp in lamps)
+    return named if any(named) else ()
 
 
 def _digits(value: float) -> float:

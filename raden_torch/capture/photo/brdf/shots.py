@@ -82,6 +82,8 @@ def _lamps(
                     f"lamps), got {number}"
                 )
         return [number - 1 for number in numbers]
+    if lamps.photographs:
+        return _lamps_by_name(groups, lamps, lights)
     if len(groups) > count:
         raise InputError(
             f"{groups[count][0]}: its lamp is not in {lights}, which has {count} lamps for "
@@ -94,6 +96,18 @@ def _lamps(
         )
     _check_names(groups, lamps, lights)
     return list(range(count))
+
+
+def _lamps_by_name(groups: Sequence[tuple[Path, ...]], lamps: Lamps, lights: Path) -> list[int]:
+    """As the lights file names each lamp's photographs."""
+    by_name = {name: k for k, names in enumerate(lamps.photographs) for name in names}
+    for group in groups:
+        if group[0].name not in by_name:
+            raise InputError(
+                f"{group[0]}: expected a photograph that {lights} names, got another; say which "
+                "lamp each one was taken under"
+            )
+    return [by_name[group[0].name] for group in groups]
 
 
 def _check_names(groups: Sequence[tuple[Path, ...]], lamps: Lamps, lights: Path) -> None:

@@ -1,0 +1,522 @@
+"""A phone held by hand before a card: what `raden capture handheld` does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.arrays import Floats, Floats32
+from raden_torch.capture.photo.board import Board, BoardView
+from raden_torch.capture.photo.board_pose import board_pose
+from raden_torch.capture.photo.brdf.board_region import board_pixels
+from raden_torch.capture.photo.brdf.rays import Y_UP
+from raden_torch.capture.photo.calibration import calibrate
+from raden_torch.capture.photo.camera import Calibration, Camera, Pose, read_camera
+from raden_torch.capture.photo.handheld.card_checks import (
+    MOST_RMS_PX,
+    bent,
+    heights_m,
+    zoom_of,
+    zoomed,
+)
+from raden_torch.capture.photo.handheld.choosing import spread_out
+from raden_torch.capture.photo.handheld.footage import Clip, Picture, clips_of, pictures
+from raden_torch.capture.photo.handheld.judging import Judged, judged
+from raden_torch.capture.photo.handheld.lamp_fit import FoundLamp, LampSetting, find_lamp
+from raden_torch.capture.photo.handheld.lamp_sights import (
+    ChromeBall,
+    FlatMirror,
+    Shadow,
+    Sights,
+    sights,
+    white_squares_m,
+)
+from raden_torch.capture.photo.handheld.response_fit import Greys, Response, fit_response
+from raden_torch.errors import InputError
+from raden_torch.images.colour_space import SRGB_SPACE
+
+_CALIBRATED_ON = 40
+_CLIPPED, _MOST_CLIPPED, _DARK = 250, 0.1, 24
+_FEWEST = 4
+"""Photographs; fewer tell of no lamp."""
+_GREY_M = 0.002
+"""Half of the side of the square that is measured of a grey patch."""
+
+
+@dataclass(frozen=True, eq=False)
+class GreyPatch:
+    """A matt grey patch on the board: its middle, metres, and its reflectance, 0…1."""
+
+    x_m: float
+    y_m: float
+    reflectance: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.reflectance <= 1.2:
+            raise InputError(
+                f"grey patch: reflectance factor: expected above 0 and at most 120, got "
+                f"{100 * self.reflectance:g}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class HandheldSetup:
+    """What lies before the phone, and what shows the lamp.
+
+    Attributes:
+        board: as printed.
+        region_m: `[n, 2]` corners of the piece on the board, metres.
+        white_m: `[n, 2]` corners of the white reference, which is matt and alike all over.
+        lamp_on_camera: whether the lamp is fixed to the camera, as a phone's flash; else it stands
+            beside the board, in each clip elsewhere.
+        flash_m: `[3]` of a lamp on the camera, in its frame (x right, y up, z to the viewer),
+            metres; None: found by balls and mirrors.
+        balls, mirrors, shadows: what shows the lamp.
+        greys: what shows the tone curve; none: it is taken for sRGB's, or for what `response` says.
+        response: `[256]` stored value → linear light; None: as above.
+        locked: the exposure was the same in all pictures.
+        camera: a camera file; None: calibrated on the pictures themselves.
+        photographs: to choose, at most.
+        most_blur_px: standard deviation from which a picture counts as blurred.
+        every: frames of a video of which the sharpest is looked at; None: as many as make
+            `judging.LOOKED_AT`.
+    """
+
+    board: Board
+    region_m: Floats
+    white_m: Floats
+    lamp_on_camera: bool = False
+    flash_m: Floats | None = None
+    balls: tuple[ChromeBall, ...] = ()
+    mirrors: tuple[FlatMirror, ...] = ()
+    shadows: tuple[Shadow, ...] = ()
+    greys: tuple[GreyPatch, ...] = ()
+    response: Floats32 | None = None
+    locked: bool = False
+    camera: Path | None = None
+    photographs: int = 60
+    most_blur_px: float = 1.5
+    every: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.flash_m is not None and not self.lamp_on_camera:
+            raise InputError("flash: expected a lamp on the camera, got one beside the board")
+        if not (self.balls or self.mirrors or self.shadows or self.flash_m is not None):
+            raise InputError(
+                "lamp: expected what shows where it is (a chrome ball, a flat mirror or a pin's "
+                "shadow, or the flash's place), got none"
+            )
+        if self.lamp_on_camera and self.shadows:
+            raise InputError("shadow: expected a lamp that stands still, got one on the camera")
+        if self.photographs < _FEWEST or self.most_blur_px <= 0 or (self.every or 1) < 1:
+            raise InputError(
+                f"photographs: expected {_FEWEST} or more, a blur above 0 and every frame or "
+                f"fewer, got {self.photographs}, {self.most_blur_px} and {self.every}"
+            )
+
+    @property
+    def middle_m(self) -> Floats:
+        """`[3]` of the piece."""
+        return np.append(self.region_m[:, :2].mean(axis=0), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Handheld:
+    """What was found.
+
+    Attributes:
+        clips: what was given.
+        looked_at: every picture that was, with the reason where it is not kept.
+        chosen: numbers of the kept in `looked_at`.
+        poses: of the board in the kept, in order.
+        camera, calibration: the latter None where the camera was given.
+        lamps: one, or one a clip of which pictures were kept.
+        lamp_of: `[n]` its number for each kept picture.
+        response: None where sRGB's, or a given one, was taken.
+        exposures: `[n, 3]` light of the white over its irradiance, relative to the median.
+        setup: as given, with the board as found.
+        notes: what a person should know.
+    """
+
+    clips: list[Clip]
+    looked_at: list[Judged]
+    chosen: list[int]
+    poses: list[Pose]
+    camera: Camera
+    calibration: Calibration | None
+    lamps: list[FoundLamp]
+    lamp_of: list[int]
+    response: Response | None
+    exposures: Floats
+    setup: HandheldSetup
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def kept(self) -> list[Judged]:
+        return [self.looked_at[k] for k in self.chosen]
+
+    def lamp_in_camera_m(self, number: int) -> Floats:
+        """`[3]` the lamp of a kept picture, in its camera's frame as OpenCV has it."""
+        at = self.lamps[self.lamp_of[number]].at_m
+        if self.setup.lamp_on_camera:
+            return at
+        pose = self.poses[number]
+        return pose.rotation @ at + pose.translation_m
+
+    def __str__(self) -> str:
+        reasons: dict[str, int] = {}
+        for each in self.looked_at:
+            if each.refused:
+                why = each.refused.split(":")[0]
+                reasons[why] = reasons.get(why, 0) + 1
+        left_out = ", ".join(f"{count} {why}" for why, count in reasons.items())
+        lines = [
+            f"{len(self.chosen)} photographs chosen of {len(self.looked_at)} that were looked at"
+            + (f" (left out: {left_out})" if left_out else "")
+        ]
+        frame = "the camera" if self.setup.lamp_on_camera else "the board"
+        for k, lamp in enumerate(self.lamps):
+            at = ", ".join(f"{1000 * value:.0f}" for value in lamp.at_m)
+            lines.append(
+                f"lamp {k + 1}: at {at} mm in the frame of {frame}, direction ± "
+                f"{lamp.std_deg:.2f} deg, by {lamp.images} images ({lamp.left_out} left out)"
+            )
+        if self.response is not None:
+            low, high = self.response.known
+            lines.append(
+                f"tone curve: seen from {low:.0f} to {high:.0f} of 255, "
+                f"± {100 * self.response.rms:.1f} %"
+            )
+        return "\n".join((*lines, *(f"note: {note}" for note in self.notes)))
+
+
+def capture_handheld(
+    paths: Sequence[Path],
+    setup: HandheldSetup,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Handheld:
+    """Choose pictures of videos and stills, and find their camera, lamps and tone curve.
+
+    Args:
+        paths: videos, folders of stills, stills. A lamp beside the board stands still in each video
+            and each folder, and in all single stills together.
+        progress: called with the share that is done, 0…1.
+
+    Raises:
+        InputError: as for what it is made of; a bent card; a camera file that does not fit; too few
+            pictures left, with the reasons.
+    """
+    done = progress or (lambda share: None)
+    clips = clips_of(paths)
+    looked = judged(
+        clips,
+        setup.board,
+        most_blur_px=setup.most_blur_px,
+        every=setup.every,
+        progress=lambda share: done(0.7 * share),
+    )
+    found_board = next(each.view.board for each in looked if each.view is not None)
+    setup = replace(setup, board=found_board)
+    camera, calibration, looked, poses = _camera_and_poses(looked, setup)
+    notes = [] if calibration is None else list(calibration.notes)
+    done(0.75)
+    chosen = _chosen(looked, poses, setup)
+    # the white is looked at in the chosen alone: those that fail make room for others, once
+    read = _read(clips, looked, chosen)
+    looked = _white_checked(looked, chosen, poses, camera, setup, read)
+    chosen = _chosen(looked, poses, setup)
+    read |= _read(clips, looked, [k for k in chosen if k not in read])
+    looked = _white_checked(looked, chosen, poses, camera, setup, read)
+    chosen = [k for k in chosen if not looked[k].refused]
+    if len(chosen) < _FEWEST:
+        raise InputError(_too_few(looked, len(chosen)))
+    done(0.85)
+    kept_poses = [poses[k] for k in chosen]
+    frames = [read[k] for k in chosen]
+    clip_of = [looked[k].clip for k in chosen]
+    groups = [0] * len(chosen) if setup.lamp_on_camera else _numbers(clip_of)
+    table = setup.response if setup.response is not None else _srgb()
+    lamps = _lamps(frames, kept_poses, groups, camera, setup, table, clips, clip_of)
+    response = None
+    if setup.greys:
+        response = _response(frames, kept_poses, groups, lamps, camera, setup)
+        table = response.table
+        lamps = _lamps(frames, kept_poses, groups, camera, setup, table, clips, clip_of)
+    elif setup.response is None:
+        notes.append(
+            "the tone curve is taken for sRGB's; a phone's own is often 10 to 30 % off it: grey "
+            "patches of known reflectance show it"
+        )
+    done(0.97)
+    exposures = _exposures(frames, kept_poses, groups, lamps, camera, setup, table)
+    notes += _said(lamps, exposures, setup, clips)
+    return Handheld(
+        clips, looked, chosen, kept_poses, camera, calibration, lamps, groups, response, exposures,
+        setup, tuple(notes),
+    )  # fmt: skip
+
+
+def _camera_and_poses(
+    looked: list[Judged], setup: HandheldSetup
+) -> tuple[Camera, Calibration | None, list[Judged], dict[int, Pose]]:
+    """The camera; the pictures again, some of them refused; and the poses of the others."""
+    sharp = [k for k, each in enumerate(looked) if each.view is not None and not each.refused]
+    if len(sharp) < _FEWEST:
+        raise InputError(_too_few(looked, len(sharp)))
+    calibration = None
+    if setup.camera is None:
+        best = sorted(sharp, key=lambda k: -len(_view(looked[k]).ids))
+        some = best[:: max(1, len(best) // _CALIBRATED_ON)][:_CALIBRATED_ON]
+        calibration = calibrate([_view(looked[k]) for k in some])
+        camera = calibration.camera
+    else:
+        camera = read_camera(setup.camera)
+    poses = {k: board_pose(_view(looked[k]), camera) for k in sharp}
+    rms = float(np.median([pose.rms_px for pose in poses.values()]))
+    views = [_view(looked[k]) for k in sharp]
+    wrong = bent(heights_m(views, camera, list(poses.values())), setup.board.square_m)
+    if wrong is not None:
+        raise InputError(wrong)
+    if rms > MOST_RMS_PX:
+        source = setup.camera or "the camera"
+        raise InputError(
+            f"{source}: expected the camera that took these pictures, got one by which the board's "
+            f"corners lie {rms:.1f} px off: another lens or zoom, or a card that is bent"
+        )
+    looked = list(looked)
+    for k, pose in list(poses.items()):
+        why = zoomed(*zoom_of(_view(looked[k]), camera, pose))
+        if pose.rms_px > max(MOST_RMS_PX, 4 * rms):
+            why = why or f"its corners lie {pose.rms_px:.1f} px off the board's pose"
+        if why is not None:
+            looked[k] = looked[k].because(why)
+            del poses[k]
+    return camera, calibration, looked, poses
+
+
+def _chosen(looked: Sequence[Judged], poses: dict[int, Pose], setup: HandheldSetup) -> list[int]:
+    may = [k for k in poses if not looked[k].refused]
+    clips = [looked[k].clip for k in may]
+    picked = spread_out([poses[k] for k in may], setup.middle_m, clips, setup.photographs)
+    return [may[i] for i in picked] if may else []
+
+
+def _read(clips: Sequence[Clip], looked: Sequence[Judged], wanted: list[int]) -> dict[int, Picture]:
+    """The pictures with these numbers in `looked`."""
+    found = {}
+    by_place = {(looked[k].clip, looked[k].number): k for k in wanted}
+    for place, clip in enumerate(clips):
+        numbers = {number for c, number in by_place if c == place}
+        for picture in pictures(clip, place, numbers) if numbers else ():
+            found[by_place[place, picture.number]] = picture
+    return found
+
+
+def _white_checked(
+    looked: list[Judged],
+    chosen: Sequence[int],
+    poses: dict[int, Pose],
+    camera: Camera,
+    setup: HandheldSetup,
+    read: dict[int, Picture],
+) -> list[Judged]:
+    """The same, those of which the white does not tell the exposure refused."""
+    looked = list(looked)
+    for k in chosen:
+        region = board_pixels(setup.white_m, camera, poses[k], camera.size, looked[k].name)
+        edge = np.concatenate([region[0], region[-1], region[:, 0], region[:, -1]])
+        if region.sum() < 100 or edge.any():
+            looked[k] = looked[k].because("the white is not whole in it")
+            continue
+        white = read[k].pixels[region]
+        clipped = float((white >= _CLIPPED).any(axis=1).mean())
+        if clipped > _MOST_CLIPPED:
+            looked[k] = looked[k].because(f"{100 * clipped:.0f} % of the white is clipped")
+        elif float(np.median(white.max(axis=1))) < _DARK:
+            looked[k] = looked[k].because("the white is dark")
+    return looked
+
+
+def _linear(picture: Picture, table: Floats32) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Its linear light, and where it is not clipped."""
+    return table[picture.pixels], np.asarray((picture.pixels < _CLIPPED).all(axis=2))
+
+
+def _lamps(
+    frames: Sequence[Picture],
+    poses: Sequence[Pose],
+    groups: Sequence[int],
+    camera: Camera,
+    setup: HandheldSetup,
+    table: Floats32,
+    clips: Sequence[Clip],
+    clip_of: Sequence[int],
+) -> list[FoundLamp]:
+    """One of each group."""
+    said = None if setup.flash_m is None else setup.flash_m * Y_UP
+    covered = _covered(setup)
+    setting = LampSetting(
+        camera, setup.board, setup.balls, setup.mirrors, setup.shadows, setup.lamp_on_camera,
+        setup.middle_m, said,
+    )  # fmt: skip
+    seen: list[Sights] = []
+    for picture, pose in zip(frames, poses, strict=True):
+        linear, usable = _linear(picture, table)
+        seen.append(
+            sights(linear, usable, camera, pose, setup.board, setup.balls, setup.mirrors, covered)
+        )
+    found = []
+    for group in sorted(set(groups)):
+        rows = [k for k, g in enumerate(groups) if g == group]
+        name = clips[clip_of[rows[0]]].name
+        own = [poses[k] for k in rows], [seen[k] for k in rows]
+        found.append(find_lamp(setting, *own, name))
+    return found
+
+
+def _covered(setup: HandheldSetup) -> NDArray[np.bool_]:
+    """`[S]` white squares of the board on which piece, white, mirror, grey or ball lies, or seems
+    to, seen at a slant."""
+    import cv2
+
+    points = white_squares_m(setup.board)
+    covered = np.zeros(len(points), bool)
+    regions = [setup.region_m[:, :2], setup.white_m, *(m.corners_m for m in setup.mirrors)]
+    for region in regions:
+        outline = np.asarray(region, np.float32).reshape(-1, 1, 2)
+        inside = [
+            max(cv2.pointPolygonTest(outline, (float(x), float(y)), True) for x, y in square)
+            > -0.25 * setup.board.square_m
+            for square in points
+        ]
+        covered |= np.array(inside)
+    middles = points.mean(axis=1)
+    for ball in setup.balls:
+        covered |= np.hypot(*(middles - [ball.x_m, ball.y_m]).T) < 4 * ball.radius_m
+    for grey in setup.greys:
+        covered |= np.hypot(*(middles - [grey.x_m, grey.y_m]).T) < setup.board.square_m
+    return covered
+
+
+def _response(
+    frames: Sequence[Picture],
+    poses: Sequence[Pose],
+    groups: Sequence[int],
+    lamps: Sequence[FoundLamp],
+    camera: Camera,
+    setup: HandheldSetup,
+) -> Response:
+    seen = []
+    half = _GREY_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    for picture, pose, group in zip(frames, poses, groups, strict=True):
+        stored, light = [], []
+        lamp = _on_board(lamps[group].at_m, pose, setup)
+        for grey in setup.greys:
+            at = np.array([grey.x_m, grey.y_m])
+            region = board_pixels(at + half, camera, pose, camera.size, picture.name)
+            values = picture.pixels[region].astype(np.float64)
+            usable = len(values) >= 4 and not (values >= _CLIPPED).any()
+            stored.append(np.median(values, axis=0) if usable else np.full(3, np.nan))
+            light.append(np.log(grey.reflectance * _irradiance(lamp, np.append(at, 0.0))))
+        seen.append(Greys(np.array(stored), np.array(light)))
+    return fit_response(seen, locked=setup.locked)
+
+
+def _exposures(
+    frames: Sequence[Picture],
+    poses: Sequence[Pose],
+    groups: Sequence[int],
+    lamps: Sequence[FoundLamp],
+    camera: Camera,
+    setup: HandheldSetup,
+    table: Floats32,
+) -> Floats:
+    middle = np.append(setup.white_m.mean(axis=0), 0.0)
+    found = []
+    for picture, pose, group in zip(frames, poses, groups, strict=True):
+        region = board_pixels(setup.white_m, camera, pose, camera.size, picture.name)
+        light = np.median(table[picture.pixels[region]], axis=0)
+        found.append(light / _irradiance(_on_board(lamps[group].at_m, pose, setup), middle))
+    values = np.array(found)
+    return np.asarray(values / np.median(values, axis=0))
+
+
+def _on_board(at_m: Floats, pose: Pose, setup: HandheldSetup) -> Floats:
+    return pose.rotation.T @ (at_m - pose.translation_m) if setup.lamp_on_camera else at_m
+
+
+def _irradiance(lamp_m: Floats, at_m: Floats) -> float:
+    """cos θ / d² on the board."""
+    to = lamp_m - at_m
+    square = float(to @ to)
+    return max(-float(to[2]) / np.sqrt(square), 1e-6) / square
+
+
+def _srgb() -> Floats32:
+    return SRGB_SPACE.table(255)[:, 0]
+
+
+def _numbers(clips: Sequence[int]) -> list[int]:
+    """From 0, without gaps."""
+    known = sorted(set(clips))
+    return [known.index(clip) for clip in clips]
+
+
+def _view(each: Judged) -> BoardView:
+    assert each.view is not None
+    return each.view
+
+
+def _too_few(looked: Sequence[Judged], count: int) -> str:
+    reasons: dict[str, int] = {}
+    for each in looked:
+        if each.refused:
+            key = each.refused.split(":")[0].split(" by ")[0]
+            reasons[key] = reasons.get(key, 0) + 1
+    most = sorted(reasons.items(), key=lambda item: -item[1])[:3]
+    said = "; ".join(f"{number} of {len(looked)}: {reason}" for reason, number in most)
+    return (
+        f"{looked[0].name} …: expected {_FEWEST} pictures or more that are sharp and show board "
+        f"and white, got {count}" + (f" ({said})" if said else "")
+    )
+
+
+def _said(
+    lamps: Sequence[FoundLamp], exposures: Floats, setup: HandheldSetup, clips: Sequence[Clip]
+) -> list[str]:
+    notes = []
+    for k, lamp in enumerate(lamps):
+        which = f"lamp {k + 1}: " if len(lamps) > 1 else "the lamp: "
+        if lamp.std_deg > 1.0:
+            notes.append(
+                f"{which}its direction is known to {lamp.std_deg:.1f} deg only; another ball or a "
+                "mirror, or more pictures, would help"
+            )
+        if lamp.level_rms > 0.1:
+            notes.append(
+                f"{which}the light on the board's white squares differs by "
+                f"{100 * lamp.level_rms:.0f} % from what it would give: other lights in the room, "
+                "or a tone curve that is not the camera's"
+            )
+        if lamp.vignetting > 0.1:
+            notes.append(
+                f"{which}the picture's corners are {100 * lamp.vignetting:.0f} % darker than its "
+                "middle; a flat field takes that away"
+            )
+    spread = float(np.ptp(exposures[:, 1]))
+    if setup.locked and spread > 0.1:
+        notes.append(
+            f"the exposure is said to be locked, but the white differs by {100 * spread:.0f} % "
+            "between pictures"
+        )
+    if setup.lamp_on_camera:
+        notes.append(
+            "a lamp on the camera shows light and view side by side only: a small part of the "
+            "hemisphere; a lamp that stands beside the board shows the rest"
+        )
+    return notes

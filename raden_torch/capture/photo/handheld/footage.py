@@ -1,0 +1,156 @@
+"""Videos, folders of stills and single stills, picture by picture."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from raden_torch.capture.photo.photograph import read_stored
+from raden_torch.capture.photo.stored_photograph import read_photograph
+from raden_torch.errors import InputError
+from raden_torch.images.raw import is_raw
+from raden_torch.images.shot_settings import UNKNOWN, ShotSettings
+
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp")
+_STILL_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".heif", ".dng")
+_MOST_PIXELS = 100_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """What was taken under one lamp: one video, or stills.
+
+    Attributes:
+        name: of the video or folder, for messages.
+        stills: the files; none of a video.
+        video: the file; None of stills.
+    """
+
+    name: str
+    stills: tuple[Path, ...] = ()
+    video: Path | None = None
+
+    def __len__(self) -> int:
+        """Pictures, of a video as its header says (0: it does not)."""
+        if self.video is None:
+            return len(self.stills)
+        import cv2
+
+        with _opened(self.video) as frames:
+            return max(0, int(frames.get(cv2.CAP_PROP_FRAME_COUNT)))
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A still or a frame of a video.
+
+    Attributes:
+        name: of its file; a frame's is that which it gets when it is kept.
+        clip: number of the clip, from 0.
+        number: in the clip, from 0.
+        pixels: `[H, W, 3]` RGB of 8 bits, as stored.
+        settings: of the camera, by EXIF; unknown of a frame.
+    """
+
+    name: str
+    clip: int
+    number: int
+    pixels: NDArray[np.uint8]
+    settings: ShotSettings = UNKNOWN
+
+
+def clips_of(paths: Sequence[Path]) -> list[Clip]:
+    """Videos and folders are a clip each; stills that are named one by one are one clip together.
+
+    Raises:
+        InputError: nothing there, or a file that is neither; two pictures of one name.
+    """
+    clips: list[Clip] = []
+    loose: list[Path] = []
+    for path in paths:
+        if path.is_dir():
+            known = (*_STILL_SUFFIXES,)
+            files = [p for p in path.iterdir() if p.suffix.lower() in known or is_raw(p)]
+            if not files:
+                raise InputError(f"{path}: expected a folder of photographs, got none in it")
+            clips.append(Clip(path.name, tuple(sorted(files, key=_by_number))))
+        elif not path.is_file():
+            raise InputError(f"{path}: expected a video or a photograph, got no such file")
+        elif path.suffix.lower() in VIDEO_SUFFIXES:
+            clips.append(Clip(path.name, video=path))
+        else:
+            loose.append(path)
+    if loose:
+        clips.append(Clip("stills", tuple(loose)))
+    names = [p.name for clip in clips for p in (clip.stills or (Path(clip.name).with_suffix(""),))]
+    twice = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if twice is not None:
+        raise InputError(f"{twice}: expected photographs of different names, got two of this one")
+    if not clips:
+        raise InputError("photographs: expected a video, a folder or stills, got none")
+    return clips
+
+
+def pictures(clip: Clip, place: int, wanted: Collection[int] | None = None) -> Iterator[Picture]:
+    """A clip's pictures in order.
+
+    Args:
+        place: of the clip, from 0.
+        wanted: numbers of those to give; None: all.
+
+    Raises:
+        InputError: as for `read_stored`; a video that cannot be decoded, or too large a picture.
+    """
+    if clip.video is None:
+        for k, path in enumerate(clip.stills):
+            if wanted is None or k in wanted:
+                stored = read_stored(path)
+                yield Picture(path.name, place, k, stored, read_photograph(path).settings)
+        return
+    import cv2
+
+    stem, last = clip.video.stem, max(wanted, default=-1) if wanted is not None else None
+    with _opened(clip.video) as frames:
+        number = 0
+        while last is None or number <= last:
+            if not frames.grab():
+                break
+            if wanted is None or number in wanted:
+                found, bgr = frames.retrieve()
+                if not found:
+                    break
+                if bgr.shape[0] * bgr.shape[1] > _MOST_PIXELS:
+                    raise InputError(f"{clip.video}: over {_MOST_PIXELS // 10**6} million pixels")
+                rgb = np.ascontiguousarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
+                yield Picture(f"{stem}_{number:06d}.png", place, number, rgb)
+            number += 1
+    if number == 0:
+        raise InputError(f"{clip.video}: expected a video, got one without frames")
+
+
+class _opened:
+    """A video while it is read."""
+
+    def __init__(self, path: Path) -> None:
+        import cv2
+
+        self._path, self._frames = path, cv2.VideoCapture(str(path))
+
+    def __enter__(self) -> cv2.VideoCapture:  # type: ignore[name-defined]  # noqa: F821
+        if not self._frames.isOpened():
+            raise InputError(
+                f"{self._path}: expected a video that OpenCV's decoders read, got another file"
+            )
+        return self._frames
+
+    def __exit__(self, *_: object) -> None:
+        self._frames.release()
+
+
+def _by_number(path: Path) -> tuple[list[int], str]:
+    return [int(n) for n in re.findall(r"\d+", path.name)], path.name

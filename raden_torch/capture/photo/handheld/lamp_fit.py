@@ -1,0 +1,322 @@
+"""Where a lamp stands, from all that the pictures show of it at once.
+
+Least squares over the lamp's place and the balls' on the board. A picture says: where the lamp's
+image lies in a ball and in a flat mirror (pixels), and how the light falls off over the board's
+white squares, cos θ / d² (its level is free in each picture, as is the lens's vignetting in all);
+shadows say rays. Of a lamp beside the board they are in the board's frame, of one that is fixed to
+the camera in the camera's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from raden_torch.arrays import Bools, Floats
+from raden_torch.capture.photo.board import Board
+from raden_torch.capture.photo.brdf.rays import Y_UP, board_to_scene, projected
+from raden_torch.capture.photo.camera import Camera, Pose
+from raden_torch.capture.photo.handheld.lamp_sights import (
+    ChromeBall,
+    FlatMirror,
+    Shadow,
+    Sights,
+    white_squares_m,
+)
+from raden_torch.errors import InputError
+
+_IMAGE_PX, _SHADOW_M, _SAID_M, _LEVEL = 0.5, 5e-4, 3e-3, 0.03
+"""Standard deviations of what is fitted: a lamp's image; a shadow's tip; where a person says that a
+ball touches, or that a flash is; light on a white square, relative, with stains and what the room
+adds."""
+_OUTLIER, _ROUNDS = 4.0, 4
+_STARTS_M = (0.15, 0.3, 0.6, 1.2)
+_FAR_M = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class FoundLamp:
+    """A lamp.
+
+    Attributes:
+        at_m: `[3]` its place, in the board's frame or the camera's as OpenCV has them.
+        std_m: `[3, 3]` covariance of that.
+        std_deg: standard deviation of its direction from the piece, in each of two directions
+            across, root mean square.
+        balls_m: `[B, 2]` where the balls touch the board.
+        images: how many images in balls and mirrors were used; `left_out`: of how many that did
+            not fit.
+        image_rms_px, level_rms: of the residuals of images, and of the light on white squares.
+        vignetting: share of light lost in the picture's corners.
+    """
+
+    at_m: Floats
+    std_m: Floats
+    std_deg: float
+    balls_m: Floats
+    images: int
+    left_out: int
+    image_rms_px: float
+    level_rms: float
+    vignetting: float
+
+
+@dataclass(frozen=True, eq=False)
+class LampSetting:
+    """What is known before the lamp is looked for.
+
+    Attributes:
+        camera, board: as calibrated.
+        balls, mirrors, shadows: what shows the lamp.
+        moves: whether it is fixed to the camera.
+        middle_m: `[3]` of the piece on the board.
+        said_m: `[3]` where a person says that it is, in the camera's frame; None: nobody does.
+    """
+
+    camera: Camera
+    board: Board
+    balls: tuple[ChromeBall, ...]
+    mirrors: tuple[FlatMirror, ...]
+    shadows: tuple[Shadow, ...]
+    moves: bool
+    middle_m: Floats
+    said_m: Floats | None = None
+
+
+def find_lamp(
+    setting: LampSetting, poses: Sequence[Pose], seen: Sequence[Sights], name: str
+) -> FoundLamp:
+    """The lamp of pictures that were taken under one.
+
+    Args:
+        seen: of each picture.
+        name: of the clip, for messages.
+
+    Raises:
+        InputError: nothing shows it, or what does contradicts itself.
+    """
+    fit = _Fit(setting, poses, seen)
+    if fit.image_count == 0 and not setting.shadows and setting.said_m is None:
+        raise InputError(
+            f"{name}: the lamp's image was found in no ball or mirror of {len(poses)} pictures: "
+            "are their places on the board right? Expose so that the white is not clipped, and "
+            "cover windows"
+        )
+    found = min((fit.solved(start) for start in fit.starts()), key=lambda each: each[1])
+    return fit.described(found[0], name)
+
+
+class _Fit:
+    """Residuals of all that is seen, for places of the lamp and the balls."""
+
+    def __init__(
+        self, setting: LampSetting, poses: Sequence[Pose], seen: Sequence[Sights]
+    ) -> None:
+        self.setting, self.poses = setting, list(poses)
+        self.turn = np.array([pose.rotation for pose in poses])
+        self.shift = np.array([pose.translation_m for pose in poses])
+        self.eye = -np.einsum("kji,kj->ki", self.turn, self.shift)
+        self.balls = np.array([s.balls for s in seen]).reshape(len(poses), -1, 2)
+        self.mirrors = np.array([s.mirrors for s in seen]).reshape(len(poses), -1, 2)
+        points = white_squares_m(setting.board).mean(axis=1)
+        self.squares = np.c_[points, np.zeros(len(points))]
+        level = np.array([s.squares for s in seen])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.level = np.where(level > 0, np.log(level), np.nan)
+        self.corner2 = self._corner_distances()
+        self.used_balls: Bools = np.isfinite(self.balls[..., 0])
+        self.used_mirrors: Bools = np.isfinite(self.mirrors[..., 0])
+        self.touch = np.array([[b.x_m, b.y_m] for b in setting.balls]).reshape(-1, 2)
+        self.image_count = int(self.used_balls.sum() + self.used_mirrors.sum())
+
+    def _corner_distances(self) -> Floats:
+        """`[K, S]` squared distance of each square's pixel from the middle of the picture, its
+        corner being 1."""
+        camera = self.setting.camera
+        middle = camera.matrix[:2, 2]
+        corner = float(np.hypot(*camera.size) / 2)
+        return np.array([
+            (((projected(camera, board_to_scene(pose, self.squares)) - middle) / corner) ** 2)
+            .sum(1)
+            for pose in self.poses
+        ])  # fmt: skip
+
+    def starts(self) -> list[Floats]:
+        """Parameters to begin with: the lamp, then the balls' shifts."""
+        rest = np.zeros(self.touch.size)
+        if self.setting.moves:
+            first = np.zeros(3) if self.setting.said_m is None else self.setting.said_m
+            return [np.r_[first, rest]]
+        return [
+            np.r_[self.setting.middle_m + reach * np.array([x, y, -z]), rest]
+            for reach in _STARTS_M
+            for x, y, z in ((0, 0, 1), (0.7, 0, 0.7), (-0.7, 0, 0.7), (0, 0.7, 0.7), (0, -0.7, 0.7))
+        ]
+
+    def lamps_m(self, at: Floats) -> Floats:
+        """`[K, 3]` the lamp of each picture in the board's frame."""
+        if not self.setting.moves:
+            return np.broadcast_to(at, (len(self.poses), 3))
+        return np.einsum("kji,kj->ki", self.turn, at - self.shift)
+
+    def image_residuals(self, p: Floats) -> tuple[Floats, Floats]:
+        """`[K, B, 2]` and `[K, M, 2]`: pixels between the lamp's images and where they should be;
+        NaN where there is none."""
+        lamp = self.lamps_m(p[:3])
+        touch = self.touch + p[3:].reshape(-1, 2)
+        in_balls = np.full(self.balls.shape, np.nan)
+        for b, ball in enumerate(self.setting.balls):
+            centre = np.r_[touch[b], -ball.radius_m]
+            point = mirror_points(centre, ball.radius_m, self.eye, lamp)
+            in_balls[:, b] = self.balls[:, b] - self._pixels(point)
+        in_mirrors = np.full(self.mirrors.shape, np.nan)
+        for m, mirror in enumerate(self.setting.mirrors):
+            behind = lamp * [1, 1, -1] - [0, 0, 2 * mirror.height_m]
+            in_mirrors[:, m] = self.mirrors[:, m] - self._pixels(behind)
+        return in_balls, in_mirrors
+
+    def _pixels(self, board_points: Floats) -> Floats:
+        """`[K, 2]` of a point `[K, 3]` in each picture."""
+        there = np.einsum("kij,kj->ki", self.turn, board_points) + self.shift
+        return projected(self.setting.camera, there * Y_UP)
+
+    def level_residuals(self, p: Floats) -> tuple[Floats, float]:
+        """`[K, S]` log light on the white squares less cos θ / d², each picture's level and the
+        vignetting, which is returned, too: the share that is lost in the corners."""
+        to = self.lamps_m(p[:3])[:, None] - self.squares
+        square = (to**2).sum(-1)
+        facing = -to[..., 2] / np.sqrt(square)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            left = self.level - np.log(np.where(facing > 0.05, facing / square, np.nan))
+        known = np.isfinite(left)
+        row = known.sum(axis=1, keepdims=True)
+
+        def centred(values: Floats) -> Floats:
+            mean = np.where(known, values, 0).sum(axis=1, keepdims=True) / np.maximum(row, 1)
+            return np.where(known, values - mean, 0.0)
+
+        left, dark = centred(left), centred(self.corner2)
+        loss = float((left * dark).sum() / max((dark**2).sum(), 1e-12))
+        return np.where(known, left - loss * dark, np.nan), -loss
+
+    def residuals(self, p: Floats) -> Floats:
+        """All of them over their standard deviations."""
+        parts = [p[3:] / _SAID_M]
+        if self.setting.said_m is not None:
+            parts.append((p[:3] - self.setting.said_m) / _SAID_M)
+        in_balls, in_mirrors = self.image_residuals(p)
+        for off, used in ((in_balls, self.used_balls), (in_mirrors, self.used_mirrors)):
+            parts.append(np.clip(off[used], -1e4, 1e4).ravel() / _IMAGE_PX)
+        level = self.level_residuals(p)[0]
+        # the errors of a square are alike in all pictures: together they count as one sight of it
+        weight = 1 / np.sqrt(np.maximum(np.isfinite(level).sum(axis=0), 1)) / _LEVEL
+        parts.append(np.nan_to_num(level * weight).ravel())
+        if not self.setting.moves:
+            parts.append(self._shadow_residuals(p[:3]))
+        return np.concatenate(parts)
+
+    def _shadow_residuals(self, at: Floats) -> Floats:
+        off = []
+        for pin in self.setting.shadows:
+            height = max(-at[2], pin.height_m + 1e-3)
+            tip = np.array([pin.x_m, pin.y_m])
+            falls = tip + (tip - at[:2]) * pin.height_m / (height - pin.height_m)
+            off.append((falls - [pin.tip_x_m, pin.tip_y_m]) / _SHADOW_M)
+        return np.ravel(off)
+
+    def solved(self, start: Floats) -> tuple[Floats, float]:
+        """Parameters and cost, after images that do not fit were left out."""
+        from scipy.optimize import least_squares
+
+        self.used_balls = np.isfinite(self.balls[..., 0])
+        self.used_mirrors = np.isfinite(self.mirrors[..., 0])
+        scale = np.r_[np.full(3, 0.1), np.full(self.touch.size, 1e-3)]
+        found = least_squares(self.residuals, start, loss="soft_l1", x_scale=scale, max_nfev=60)
+        for _ in range(_ROUNDS):
+            before = self.used_balls.sum() + self.used_mirrors.sum()
+            in_balls, in_mirrors = self.image_residuals(found.x)
+            limit = _OUTLIER * max(_IMAGE_PX, self._spread(in_balls, in_mirrors))
+            with np.errstate(invalid="ignore"):
+                self.used_balls = np.linalg.norm(in_balls, axis=2) < limit
+                self.used_mirrors = np.linalg.norm(in_mirrors, axis=2) < limit
+            if self.used_balls.sum() + self.used_mirrors.sum() == before:
+                break
+            found = least_squares(self.residuals, found.x, loss="soft_l1", x_scale=scale)
+        return found.x, float(found.cost) + 8.0 * self._left_out
+
+    @property
+    def _left_out(self) -> int:
+        return self.image_count - int(self.used_balls.sum() + self.used_mirrors.sum())
+
+    def _spread(self, *off: Floats) -> float:
+        all_of = np.concatenate([np.linalg.norm(each, axis=2).ravel() for each in off])
+        return float(np.nanmedian(all_of)) if np.isfinite(all_of).any() else 0.0
+
+    def described(self, p: Floats, name: str) -> FoundLamp:
+        """The solution with its uncertainty.
+
+        Raises:
+            InputError: most of the images do not fit; a lamp that nothing holds.
+        """
+        from scipy.optimize import approx_fprime
+
+        in_balls, in_mirrors = self.image_residuals(p)
+        self.used_balls &= np.isfinite(in_balls[..., 0])
+        off = np.concatenate([in_balls[self.used_balls], in_mirrors[self.used_mirrors]])
+        if self.image_count and self._left_out > 0.5 * self.image_count:
+            raise InputError(
+                f"{name}: of {self.image_count} images of the lamp in balls and mirrors "
+                f"{self._left_out} fit no lamp: it moved, there are two, or the ball's radius or "
+                "place is another"
+            )
+        jacobian = approx_fprime(p, self.residuals, 1e-6)
+        inverse = np.linalg.pinv(jacobian.T @ jacobian)
+        covariance = inverse[:3, :3] * max(1.0, float(np.mean(self.residuals(p) ** 2)))
+        rms = float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
+        level, lost = self.level_residuals(p)
+        there = np.isfinite(level)
+        return FoundLamp(
+            at_m=p[:3],
+            std_m=covariance,
+            std_deg=self._std_deg(p[:3], covariance),
+            balls_m=self.touch + p[3:].reshape(-1, 2),
+            images=len(off),
+            left_out=self._left_out,
+            image_rms_px=rms,
+            level_rms=float(np.sqrt((level[there] ** 2).mean())) if there.any() else 0.0,
+            vignetting=lost,
+        )
+
+    def _std_deg(self, at: Floats, covariance: Floats) -> float:
+        """Across the line from the piece to the lamp."""
+        away = (self.lamps_m(at) - self.setting.middle_m)[0]
+        distance = float(np.linalg.norm(away))
+        if self.setting.moves:
+            covariance = self.turn[0].T @ covariance @ self.turn[0]
+        way = away / distance
+        across = np.eye(3) - np.outer(way, way)
+        variance = float(np.trace(across @ covariance @ across)) / 2
+        return float(np.degrees(np.sqrt(variance) / distance))
+
+
+def mirror_points(centre: Floats, radius: float, eye: Floats, lamp: Floats) -> Floats:
+    """`[K, 3]` where a mirror ball shows the lamp to the eye: there the normal halves the angle
+    between the ways to both. `eye` and `lamp` `[K, 3]` lie outside of the ball.
+
+    Newton would need derivatives; this fixed point gains a digit or more a round, since the ball is
+    small beside the distances.
+    """
+    normal = _unit(_unit(eye - centre) + _unit(lamp - centre))
+    for _ in range(30):
+        point = centre + radius * normal
+        new = _unit(_unit(eye - point) + _unit(lamp - point))
+        if float(np.abs(new - normal).max()) < 1e-12:
+            break
+        normal = new
+    return np.asarray(centre + radius * normal)
+
+
+def _unit(v: Floats) -> Floats:
+    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))
