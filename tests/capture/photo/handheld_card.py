@@ -81,13 +81,15 @@ class Scene:
         # whole texels from the pattern's corner; 16 of table around, for the smaller pictures
         low = np.floor(ends.min(0) / step) - 16
         wide, high = (np.ceil(ends.max(0) / step) + 16 - low).astype(int) // 16 * 16 + 16
-        x = ((np.arange(wide) + low[0] + 0.5) * step)[None]
-        y = ((np.arange(high) + low[1] + 0.5) * step)[:, None]
         plane = np.zeros((high, wide, 3), np.float32)
 
         def lay(corners: Array, value: tuple[float, float, float]) -> None:
-            cover = inside(corners, x, y, step)[..., None]
-            plane[:] += cover * (np.array(value, np.float32) - plane)
+            texels = corners / step - low
+            start = np.floor(texels.min(0)).astype(int) - 1
+            stop = np.ceil(texels.max(0)).astype(int) + 1
+            part = plane[start[1] : stop[1], start[0] : stop[0]]
+            cover = inside(texels - start, part.shape[:2])[..., None]
+            part += cover * (np.array(value, np.float32) - part)
 
         plane[..., 0] = TABLE
         margin = self.card.margin_m
@@ -120,15 +122,17 @@ def patches(grey_m: Array) -> Array:
     return grey_m[0] + np.array(at) @ np.stack([across, down])
 
 
-def inside(corners: Array, x: Array, y: Array, step: float) -> Array:
-    """0..1 of each texel of width `step` that the convex polygon covers, to a texel's part."""
-    reach = np.full((y.size, x.size), np.inf, np.float32)
+def inside(corners: Array, shape: tuple[int, int]) -> Array:
+    """`[h, w]` 0..1 of each texel that the convex polygon covers; corners in texels."""
+    y = np.arange(shape[0], dtype=np.float32)[:, None] + 0.5
+    x = np.arange(shape[1], dtype=np.float32) + 0.5
+    reach = np.full(shape, np.inf, np.float32)
     (ax, ay), (bx, by) = corners[1] - corners[0], corners[2] - corners[1]
     turn = np.sign(ax * by - ay * bx)
     for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):
-        ex, ey = turn * (b - a) / np.linalg.norm(b - a)
-        np.minimum(reach, ex * (y - a[1]) - ey * (x - a[0]), out=reach)
-    return np.clip(reach / step + 0.5, 0, 1)
+        ex, ey = (turn * (b - a) / np.linalg.norm(b - a)).astype(np.float32)
+        np.minimum(reach, ex * (y - np.float32(a[1])) - ey * (x - np.float32(a[0])), out=reach)
+    return np.clip(reach + 0.5, 0, 1)
 
 
 def lamp_on_board(scene: Scene, frame: Frame) -> Array:
@@ -141,3 +145,24 @@ def lamp_on_board(scene: Scene, frame: Frame) -> Array:
 def lamp_in_camera(scene: Scene, frame: Frame) -> Array:
     """`[3]` the lamp in the camera frame, metres."""
     return frame.rotation @ lamp_on_board(scene, frame) + frame.shift_m
+
+
+def irradiance(scene: Scene, lamp: Array, x: Array, y: Array, pixel_m: float) -> Array:
+    """Of the plane's points, with the balls' shadows, whose edges a pixel of `pixel_m` smooths."""
+    toward = [np.float32(lamp[0]) - x, np.float32(lamp[1]) - y, np.float32(lamp[2])]
+    square = toward[0] ** 2 + toward[1] ** 2 + toward[2] ** 2
+    length = np.sqrt(square)
+    light = max(-lamp[2], 0) / (square * length)
+    for bx, by, r in scene.balls_m:
+        # the shadow's tip is no farther than this from where the ball touches the card
+        tip = 4 * r + 3 * r * np.hypot(lamp[0] - bx, lamp[1] - by) / max(-lamp[2] - 3 * r, 1e-3)
+        near = (np.abs(x - np.float32(bx)) < tip) & (np.abs(y - np.float32(by)) < tip)
+        ball = [np.float32(bx) - x[near], np.float32(by) - y[near], np.float32(-r)]
+        to, far = [toward[0][near], toward[1][near], toward[2]], length[near]
+        along = sum(a * b for a, b in zip(ball, to, strict=True)) / far
+        miss = np.sqrt(np.maximum(sum(b**2 for b in ball) - along**2, 0))
+        soft = np.maximum(scene.lamp_radius_m * along / np.maximum(far - along, 1e-6), 0)
+        soft = np.maximum(soft, 0.5 * pixel_m)
+        seen = np.clip((miss - r) / (2 * soft) + 0.5, 0, 1)
+        light[near] *= np.where((along > 0) & (along < far), seen, 1)
+    return light

@@ -68,7 +68,7 @@ class Phone:
         k1, k2, p1, p2, k3 = self.distortion
         bent = (np.asarray(pixels, float) - self.matrix[:2, 2]) / np.diag(self.matrix)[:2]
         x, y = x0, y0 = bent.T
-        for _ in range(20):
+        for _ in range(12):
             r2 = x * x + y * y
             radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
             dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
@@ -175,7 +175,7 @@ def hand_path(
     def pose(t: float) -> tuple[Array, Array]:
         u = t / duration_s
         # the cosine folds what the hand's wobble takes beyond the ends back inside
-        part = 0.5 - 0.5 * np.cos(np.pi * (np.sqrt(max(u, 0.0)) + 0.05 * slow[0](t)))
+        part = 0.5 - 0.5 * np.cos(np.pi * (u + 0.05 * slow[0](t)))
         away = np.radians(polar_deg[0] + (polar_deg[1] - polar_deg[0]) * part)
         if width >= 360:
             round_ = turn0 + 2 * np.pi * loops * u + 0.1 * slow[1](t)
