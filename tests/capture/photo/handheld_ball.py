@@ -11,6 +11,7 @@ from tests.capture.photo.handheld_phone import Frame, Phone
 
 Array = np.ndarray
 CHROME = 0.6  # reflectance
+FINE = 24  # rays a pixel's side around the highlight
 SEEN_PIECE = 0.3  # the piece's reflectance in a ball's mirror image, where it counts as matt
 
 
@@ -76,24 +77,28 @@ def add_ball(
         rays = unit(np.c_[phone.along(pixels), np.ones(len(pixels))]) @ frame.rotation
         return pixels, *mirrored_by(lamp, scene.lamp_radius_m, ball, start, rays)
 
-    def add(values: Array, low: Array, high: Array, fine: int, remains: Array | None) -> None:
-        window = linear[low[1] : high[1], low[0] : high[0]]
-        wide, tall = high - low
-        for part, to in ((remains, np.multiply), (values, np.add)):
-            if part is not None:
-                mean = part.reshape(tall, fine, wide, fine).mean((1, 3))
-                to(window, mean[..., None], out=window, casting="same_kind")
-
     pixels, hit, point, mirrored, off = cast(low, high, 4)
     if not hit.any():
         return
     shown = np.zeros(len(pixels))
     shown[hit] = CHROME * card_in_mirror(scene, lamp, point[hit], mirrored[hit])
-    add(shown, low, high, 4, ~hit)
+    window = linear[low[1] : high[1], low[0] : high[0]]
+    wide, tall = high - low
+    for values, to in ((~hit, np.multiply), (shown, np.add)):
+        mean = values.reshape(tall, 4, wide, 4).mean((1, 3))
+        to(window, mean[..., None], out=window, casting="same_kind")
     # the highlight is small: finely, around the place where the mirrored ray is nearest to the lamp
-    best = pixels[hit][off[hit].argmin()]
-    low = np.maximum(np.round(best).astype(int) - 2, 0)
-    high = np.minimum(np.round(best).astype(int) + 3, phone.size[::-1])
-    _, hit, _, _, off = cast(low, high, 24)
-    lit = CHROME / (np.pi * scene.lamp_radius_m**2) * (hit & (off < 1))
-    add(lit, low, high, 24, None)
+    best = np.round(pixels[hit][off[hit].argmin()]).astype(int)
+    low = np.maximum(best - 2, 0)
+    high = np.minimum(best + 3, phone.size[::-1])
+    pixels, hit, _, _, off = cast(low, high, FINE)
+    lit = pixels[hit & (off < 1)]
+    # shared among the four nearest pixels, so that a spot within one keeps its place under the blur
+    at = np.clip(np.floor(lit), 0, np.array(phone.size[::-1]) - 2)
+    part = lit - at
+    column, row = at.astype(int).T
+    power = CHROME / (np.pi * scene.lamp_radius_m**2) / FINE**2
+    for dx in (0, 1):
+        for dy in (0, 1):
+            weight = np.abs(1 - dx - part[:, 0]) * np.abs(1 - dy - part[:, 1])
+            np.add.at(linear, (row + dy, column + dx), np.float32(power) * weight[:, None])

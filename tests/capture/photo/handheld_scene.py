@@ -232,12 +232,17 @@ def write_clip(
     seed: int,
     rate: float = 30.0,
 ) -> Path:
-    """A film of all frames, by the path's ending: .mp4 (MPEG-4) or .avi (Motion JPEG)."""
-    kind = {".mp4": "mp4v", ".avi": "MJPG"}[path.suffix]
-    writer = cv2.VideoWriter(
-        str(path), cv2.VideoWriter_fourcc(*kind), rate, phone.size[::-1],
-        [cv2.VIDEOWRITER_PROP_QUALITY, phone.quality],
-    )  # fmt: skip
+    """A film of all frames, by the path's ending: .mp4 (MPEG-4) or .avi (Motion JPEG). Sizes are
+    even: MPEG-4 would lose a row."""
+    if any(side % 2 for side in phone.size):
+        raise ValueError(f"size: expected even height and width for a film, got {phone.size}")
+    if path.suffix == ".avi":
+        kind, backend = "MJPG", cv2.CAP_OPENCV_MJPEG
+        quality = ([cv2.VIDEOWRITER_PROP_QUALITY, phone.quality],)
+    else:  # FFmpeg's writer takes no quality
+        kind, backend, quality = "mp4v", cv2.CAP_FFMPEG, ()
+    code = cv2.VideoWriter_fourcc(*kind)
+    writer = cv2.VideoWriter(str(path), backend, code, rate, phone.size[::-1], *quality)
     if not writer.isOpened():
         raise OSError(f"{path}: expected OpenCV to write {kind}, got no writer")
     for picture in pictures(scene, phone, frames, gain, seed):
