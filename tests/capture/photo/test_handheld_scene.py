@@ -138,7 +138,7 @@ def test_the_highlight_lies_where_the_angles_are_equal(
         place = mirror_place(frame.place_m, lamp_on_board(scene, frame), ball)
         (expected,) = project(place[None], phone, frame)
         x, y = np.round(expected).astype(int)
-        assert linear[y - 4 : y + 5, x - 4 : x + 5].max() > 20  # of a white's 2: it clips
+        assert linear[y - 4 : y + 5, x - 4 : x + 5].max() > 10  # the white has about 2
         off = np.linalg.norm(bright_middle(linear, expected) - expected)
         print(f"highlight: {off:.3f} px")
         assert off < 0.25
@@ -230,8 +230,10 @@ def test_a_shaken_frame_is_wide_along_its_motion(phone: Phone) -> None:
     assert change < 0.25
 
 
-@pytest.mark.parametrize("ending", ["mp4", "avi"])
-def test_a_clip_reads_back(tmp_path: Path, fixed: Scene, phone: Phone, ending: str) -> None:
+@pytest.mark.parametrize(("ending", "codes"), [("mp4", 5), ("avi", 3), ("mkv", 0)])
+def test_a_clip_reads_back(
+    tmp_path: Path, fixed: Scene, phone: Phone, ending: str, codes: float
+) -> None:
     small, frames = phone.scaled(1 / 3), hand_path(5, seed=2)
     gain = auto_gains(fixed, phone, frames[:1])[0]
     path = write_clip(tmp_path / f"clip.{ending}", fixed, small, frames, gain=gain, seed=3)
@@ -245,7 +247,7 @@ def test_a_clip_reads_back(tmp_path: Path, fixed: Scene, phone: Phone, ending: s
         sent = developed(radiance(fixed, small, frames[k]), small, gain, random)
         off = np.abs(sent.astype(float) - read[k]).mean()
         print(f"{ending}: mean difference {off:.2f} of 255")
-        assert off < 6
+        assert off <= codes
 
 
 def test_stills_read_back_and_the_exposure_is_as_said(tmp_path: Path, fixed: Scene) -> None:
