@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 import numpy as np
@@ -31,13 +32,16 @@ def draw_handheld(found: Handheld) -> Figure:
         each = found.looked_at[number]
         ax.imshow(each.thumbnail)
         ax.set_axis_off()
-        said = refused or "kept"
+        said = "\n".join(printable(line) for line in (each.name, refused[:44] or "kept"))
         ax.set_title(
-            printable(f"{each.name}\n{said[:44]}"),
+            said,
             fontsize=SMALL - 1,
             color=_LEFT_OUT if refused else INK,
         )
-    figure.suptitle(printable(str(found).splitlines()[0]), fontsize=TEXT)
+    figure.suptitle(
+        "\n".join(printable(line) for line in textwrap.wrap(str(found).splitlines()[0], 150)),
+        fontsize=TEXT,
+    )
     return figure
 
 

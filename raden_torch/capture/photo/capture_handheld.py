@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -28,6 +28,7 @@ from raden_torch.capture.photo.handheld.footage import Clip, Picture, clips_of, 
 from raden_torch.capture.photo.handheld.judging import Judged, judged
 from raden_torch.capture.photo.handheld.lamp_fit import FoundLamp, LampSetting, find_lamp
 from raden_torch.capture.photo.handheld.lamp_sights import (
+    CLIPPED,
     ChromeBall,
     FlatMirror,
     Shadow,
@@ -40,7 +41,7 @@ from raden_torch.errors import InputError
 from raden_torch.images.colour_space import SRGB_SPACE
 
 _CALIBRATED_ON = 40
-_CLIPPED, _MOST_CLIPPED, _DARK = 250, 0.1, 24
+_MOST_CLIPPED, _DARK = 0.1, 24
 _FEWEST = 4
 """Photographs; fewer tell of no lamp."""
 _GREY_M = 0.002
@@ -225,6 +226,9 @@ def capture_handheld(
     camera, calibration, looked, poses = _camera_and_poses(looked, setup)
     notes = [] if calibration is None else list(calibration.notes)
     done(0.75)
+    table = _srgb() if setup.response is None else setup.response
+    seen = _sights(clips, looked, poses, camera, setup, table)
+    done(0.85)
     chosen = _chosen(looked, poses, setup)
     # the white is looked at in the chosen alone: those that fail make room for others, once
     read = _read(clips, looked, chosen)
@@ -235,18 +239,17 @@ def capture_handheld(
     chosen = [k for k in chosen if not looked[k].refused]
     if len(chosen) < _FEWEST:
         raise InputError(_too_few(looked, len(chosen)))
-    done(0.85)
+    done(0.9)
     kept_poses = [poses[k] for k in chosen]
     frames = [read[k] for k in chosen]
-    clip_of = [looked[k].clip for k in chosen]
-    groups = [0] * len(chosen) if setup.lamp_on_camera else _numbers(clip_of)
-    table = setup.response if setup.response is not None else _srgb()
-    lamps = _lamps(frames, kept_poses, groups, camera, setup, table, clips, clip_of)
+    lit = _lit_by(setup, [looked[k].clip for k in chosen])
+    lamps = _lamps(looked, poses, seen, lit, camera, setup, table, clips)
+    groups = [lit.index(None if setup.lamp_on_camera else looked[k].clip) for k in chosen]
     response = None
     if setup.greys:
         response = _response(frames, kept_poses, groups, lamps, camera, setup)
         table = response.table
-        lamps = _lamps(frames, kept_poses, groups, camera, setup, table, clips, clip_of)
+        lamps = _lamps(looked, poses, seen, lit, camera, setup, table, clips)
     elif setup.response is None:
         notes.append(
             "the tone curve is taken for sRGB's; a phone's own is often 10 to 30 % off it: grey "
@@ -308,13 +311,18 @@ def _chosen(looked: Sequence[Judged], poses: dict[int, Pose], setup: HandheldSet
 
 def _read(clips: Sequence[Clip], looked: Sequence[Judged], wanted: list[int]) -> dict[int, Picture]:
     """The pictures with these numbers in `looked`."""
-    found = {}
+    return dict(_pictures(clips, looked, wanted))
+
+
+def _pictures(
+    clips: Sequence[Clip], looked: Sequence[Judged], wanted: Iterable[int]
+) -> Iterator[tuple[int, Picture]]:
+    """The same one by one, with their numbers."""
     by_place = {(looked[k].clip, looked[k].number): k for k in wanted}
     for place, clip in enumerate(clips):
         numbers = {number for c, number in by_place if c == place}
         for picture in pictures(clip, place, numbers) if numbers else ():
-            found[by_place[place, picture.number]] = picture
-    return found
+            yield by_place[place, picture.number], picture
 
 
 def _white_checked(
@@ -334,7 +342,7 @@ def _white_checked(
             looked[k] = looked[k].because("the white is not whole in it")
             continue
         white = read[k].pixels[region]
-        clipped = float((white >= _CLIPPED).any(axis=1).mean())
+        clipped = float((white >= CLIPPED).any(axis=1).mean())
         if clipped > _MOST_CLIPPED:
             looked[k] = looked[k].because(f"{100 * clipped:.0f} % of the white is clipped")
         elif float(np.median(white.max(axis=1))) < _DARK:
@@ -342,40 +350,52 @@ def _white_checked(
     return looked
 
 
-def _linear(picture: Picture, table: Floats32) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Its linear light, and where it is not clipped."""
-    return table[picture.pixels], np.asarray((picture.pixels < _CLIPPED).all(axis=2))
+def _sights(
+    clips: Sequence[Clip],
+    looked: Sequence[Judged],
+    poses: dict[int, Pose],
+    camera: Camera,
+    setup: HandheldSetup,
+    table: Floats32,
+) -> dict[int, Sights]:
+    """What every sharp picture shows of its lamp, kept or not."""
+    covered = _covered(setup)
+    found = {}
+    for k, picture in _pictures(clips, looked, poses):
+        found[k] = sights(
+            picture.pixels, table, camera, poses[k], setup.board, setup.balls, setup.mirrors,
+            covered,
+        )  # fmt: skip
+    return found
+
+
+def _lit_by(setup: HandheldSetup, clips: Sequence[int]) -> list[int | None]:
+    """The clips that have a lamp each; None: one lamp is on the camera in all."""
+    return [None] if setup.lamp_on_camera else list(sorted(set(clips)))
 
 
 def _lamps(
-    frames: Sequence[Picture],
-    poses: Sequence[Pose],
-    groups: Sequence[int],
+    looked: Sequence[Judged],
+    poses: dict[int, Pose],
+    seen: dict[int, Sights],
+    lit: Sequence[int | None],
     camera: Camera,
     setup: HandheldSetup,
     table: Floats32,
     clips: Sequence[Clip],
-    clip_of: Sequence[int],
 ) -> list[FoundLamp]:
-    """One of each group."""
+    """One of each in `lit`, by all its sharp pictures."""
     said = None if setup.flash_m is None else setup.flash_m * Y_UP
-    covered = _covered(setup)
     setting = LampSetting(
         camera, setup.board, setup.balls, setup.mirrors, setup.shadows, setup.lamp_on_camera,
         setup.middle_m, said,
     )  # fmt: skip
-    seen: list[Sights] = []
-    for picture, pose in zip(frames, poses, strict=True):
-        linear, usable = _linear(picture, table)
-        seen.append(
-            sights(linear, usable, camera, pose, setup.board, setup.balls, setup.mirrors, covered)
-        )
     found = []
-    for group in sorted(set(groups)):
-        rows = [k for k, g in enumerate(groups) if g == group]
-        name = clips[clip_of[rows[0]]].name
+    for clip in lit:
+        rows = [k for k in seen if clip is None or looked[k].clip == clip]
+        name = clips[clip or 0].name
         own = [poses[k] for k in rows], [seen[k] for k in rows]
-        found.append(find_lamp(setting, *own, name))
+        found.append(find_lamp(setting, *own, table, name))
     return found
 
 
@@ -420,7 +440,7 @@ def _response(
             at = np.array([grey.x_m, grey.y_m])
             region = board_pixels(at + half, camera, pose, camera.size, picture.name)
             values = picture.pixels[region].astype(np.float64)
-            usable = len(values) >= 4 and not (values >= _CLIPPED).any()
+            usable = len(values) >= 4 and not (values >= CLIPPED).any()
             stored.append(np.median(values, axis=0) if usable else np.full(3, np.nan))
             light.append(np.log(grey.reflectance * _irradiance(lamp, np.append(at, 0.0))))
         seen.append(Greys(np.array(stored), np.array(light)))
@@ -459,12 +479,6 @@ def _irradiance(lamp_m: Floats, at_m: Floats) -> float:
 
 def _srgb() -> Floats32:
     return SRGB_SPACE.table(255)[:, 0]
-
-
-def _numbers(clips: Sequence[int]) -> list[int]:
-    """From 0, without gaps."""
-    known = sorted(set(clips))
-    return [known.index(clip) for clip in clips]
 
 
 def _view(each: Judged) -> BoardView:

@@ -103,9 +103,12 @@ def coverage(
         stances: how many such places of lamp and camera to suggest.
     """
     scene = _Scene(grid, shape, camera, pose, lamp_distance)
-    tried = scene.candidates()
-    filled = [scene.cells(lamp, eye, _POINTS) for lamp, eye in tried]
-    packed = np.array([np.packbits(cells) for cells in filled])
+    tried: list[tuple[Floats, Floats | None]] = []
+    each = []
+    for lamps, eye in scene.candidates():
+        tried += [(lamp, eye) for lamp in lamps]
+        each.append(np.packbits(scene.cells(lamps, eye, _POINTS), axis=1))
+    packed = np.concatenate(each)
     reachable = np.unpackbits(np.bitwise_or.reduce(packed), count=grid.cells).astype(bool)
     now, chosen = covered.copy(), []
     for _ in range(stances):
@@ -114,7 +117,7 @@ def coverage(
         if gains[best] == 0:
             break
         lamp, eye = tried[best]
-        fills = scene.cells(lamp, eye, _DENSE)
+        fills = scene.cells(lamp[None], eye, _DENSE)[0]
         gain = int((fills & ~now).sum())
         chosen.append(LightingPosition(lamp, eye, gain, scene.described(lamp, eye)))
         now |= fills
@@ -131,36 +134,36 @@ class _Scene:
     lamp_distance: float | None
 
     def candidates(self) -> list[tuple[Floats, Floats | None]]:
+        """For each direction to a camera (None: where it is) those `[L, 3]` to lamps."""
         eyes: list[Floats | None] = [None]
         if self.pose is not None:
             away = fibonacci_sphere(_CAMERAS)
             up = self._from_board(np.array([0.0, 0.0, -1.0]))
             eyes += [eye for eye in away if eye @ up > np.cos(np.radians(_LEAN_DEG))]
+        lamps = fibonacci_sphere(_LAMPS if len(eyes) == 1 else _LAMPS // 2)
         found = []
         for eye in eyes:
-            towards = self._to_eye() if eye is None else eye
-            for lamp in fibonacci_sphere(_LAMPS if len(eyes) == 1 else _LAMPS // 2):
-                apart = float(apart_deg(lamp, towards))
-                if _BESIDE_DEG < apart < _BEHIND_DEG:
-                    found.append((lamp, eye))
+            apart = apart_deg(lamps, self._to_eye() if eye is None else eye)
+            found.append((lamps[(apart > _BESIDE_DEG) & (apart < _BEHIND_DEG)], eye))
         return found
 
-    def cells(self, lamp: Floats, eye: Floats | None, count: int) -> Bools:
-        """`[cells]` that would hold samples enough."""
+    def cells(self, lamps: Floats, eye: Floats | None, count: int) -> Bools:
+        """`[L, cells]` that would hold samples enough under each lamp `[L, 3]`."""
         point, normal, area = self._surface(count)
         view, scale = self._view(point, eye)
-        light = np.broadcast_to(lamp, point.shape)
+        light = np.broadcast_to(lamps[:, None], (len(lamps), *point.shape))
         if self.lamp_distance is not None:
-            light = self.shape.middle + self.lamp_distance * lamp - point
-            light = light / np.linalg.norm(light, axis=1, keepdims=True)
+            light = self.shape.middle + self.lamp_distance * light - point
+            light = light / np.linalg.norm(light, axis=2, keepdims=True)
         facing = (normal * view).sum(1)
-        good = (facing > LEAST_COSINE) & ((normal * light).sum(1) > LEAST_COSINE)
-        if not good.any():
-            return np.zeros(self.grid.cells, bool)
-        pixels = (area * facing * scale)[good]
-        angles = angles_deg(normal[good], light[good], view[good])
+        lit = np.einsum("lpc,pc->lp", light, normal) > LEAST_COSINE
+        lamp, place = np.nonzero(lit & (facing > LEAST_COSINE))
+        angles = angles_deg(normal[place], light[lamp, place], view[place])
         rows, cell, _ = self.grid.sort(angles)
-        return np.bincount(cell, pixels[rows], self.grid.cells) >= FEWEST
+        pixels = (area * facing * scale)[place[rows]]
+        bins = lamp[rows] * self.grid.cells + cell
+        counted = np.bincount(bins, pixels, len(lamps) * self.grid.cells)
+        return np.asarray(counted.reshape(len(lamps), -1) >= FEWEST)
 
     def described(self, lamp: Floats, eye: Floats | None) -> str:
         if self.pose is None:

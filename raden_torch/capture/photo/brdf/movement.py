@@ -10,10 +10,16 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.pixel_regions import MARGIN_PX
+from raden_torch.capture.photo.brdf.rays import rays_through, scene_to_board
+from raden_torch.capture.photo.brdf.sample_shapes import Plane
 from raden_torch.capture.photo.brdf.seen_surface import SeenSurface
+from raden_torch.capture.photo.camera import Camera, Pose
 
 LIMIT_PX = 1.2
 """More than this from where it is in most photographs, and four standard errors, has moved."""
+
+LIMIT_MM = 2.0
+"""On a board, whose own print has edges beside those of what lies on it: the same."""
 
 _REACH_PX = 9.0
 _STEP_PX = 0.5
@@ -34,10 +40,21 @@ class Outline:
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """The edges found near an outline: how far out `[n]` in pixels, along the normals `[n, 2]`."""
+    """The edges found near an outline.
 
+    Attributes:
+        points: `[n, 2]` of the outline.
+        place: `[n]` how far out of it each lies, along the normals.
+        normals: `[n, 2]` unit.
+        pixel: a pixel in the unit of these: 1, or mm on the board (`on_board`).
+        limit: what is a movement, in that unit.
+    """
+
+    points: Floats
     place: Floats
     normals: Floats
+    pixel: float = 1.0
+    limit: float = LIMIT_PX
 
 
 def outline_of(seen: SeenSurface, size: tuple[int, int]) -> Outline:
@@ -79,7 +96,26 @@ def edges_near(radiance: NDArray[np.float32], outline: Outline) -> Edges | None:
     good = inside & strong & (peak > 1) & (peak < len(reach) - 2)
     if good.sum() < _FEWEST:
         return None
-    return Edges(place[good].astype(np.float64), outline.normals[good])
+    return Edges(outline.points[good], place[good].astype(np.float64), outline.normals[good])
+
+
+def on_board(edges: Edges, plane: Plane, camera: Camera, pose: Pose) -> Edges:
+    """The same in mm on the board, on which a flat piece stays where it is while the camera
+    moves."""
+
+    def there(pixels: Floats) -> Floats:
+        return scene_to_board(pose, plane.seen(rays_through(camera, *pixels.T)).point)[:, :2]
+
+    points, normals = edges.points, edges.normals
+    start = there(points)
+    along = there(points + normals[:, ::-1] * [-1, 1]) - start
+    across = np.stack([-along[:, 1], along[:, 0]], 1)
+    across /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    out = ((there(points + normals) - start) * across).sum(1)
+    across *= np.sign(out)[:, None]
+    place = ((there(points + edges.place[:, None] * normals) - start) * across).sum(1)
+    pixel = float(np.median(abs(out)))
+    return Edges(start, place, across, pixel, max(LIMIT_MM, LIMIT_PX * pixel))
 
 
 def moved(found: Sequence[Edges | None], names: Sequence[str]) -> str | None:
@@ -96,8 +132,9 @@ def moved(found: Sequence[Edges | None], names: Sequence[str]) -> str | None:
         return None
     numbers = list(fitted)
     by = np.array([fitted[k][0] for k in numbers])
-    off = np.linalg.norm(by - np.median(by, axis=0), axis=1)
-    limit = np.array([max(LIMIT_PX, 4 * fitted[k][1]) for k in numbers])
+    pixel, most = np.array([(e.pixel, e.limit) for k in numbers if (e := found[k]) is not None]).T
+    off = np.linalg.norm(by - np.median(by, axis=0), axis=1) / pixel
+    limit = np.maximum(most, 4 * np.array([fitted[k][1] for k in numbers])) / pixel
     if not (off > limit).any():
         return None
     worst = int((off / limit).argmax())
@@ -110,7 +147,7 @@ def moved(found: Sequence[Edges | None], names: Sequence[str]) -> str | None:
 
 
 def _translation(edges: Edges, wide: float) -> tuple[Floats, float] | None:
-    """`[2]` d with normal·d + wide = place, robustly (bisquare), and its standard error; pixels."""
+    """`[2]` d with normal·d + wide = place, robustly (bisquare), and its standard error."""
     normals, place = edges.normals, edges.place - wide
     weight = np.ones(len(place))
     for _ in range(_ROUNDS):
@@ -119,9 +156,10 @@ def _translation(edges: Edges, wide: float) -> tuple[Floats, float] | None:
             return None
         by = np.asarray(np.linalg.solve(square, (normals * weight[:, None]).T @ place), np.float64)
         off = place - normals @ by
-        scale = max(1.4826 * float(np.median(abs(off - np.median(off)))), 0.05)
+        scale = max(1.4826 * float(np.median(abs(off - np.median(off)))), 0.05 * edges.pixel)
         weight = np.clip(1 - (off / (4.685 * scale)) ** 2, 0, None) ** 2
-    if scale > _SCATTER_PX or (weight > 0).sum() < _FEWEST:
+    agree = weight > 0
+    if scale > _SCATTER_PX * edges.pixel or agree.sum() < _FEWEST or agree.mean() < 0.5:
         return None
     error = scale * float(np.sqrt(np.trace(np.linalg.inv(square))))
     return by, error

@@ -17,7 +17,7 @@ from raden_torch.capture.photo.brdf.capture_settings import SampleSpec, WhiteSpe
 from raden_torch.capture.photo.brdf.cell_fit import RobustFit
 from raden_torch.capture.photo.brdf.cell_sums import CellSums, NodeValues
 from raden_torch.capture.photo.brdf.lighting import Lamp
-from raden_torch.capture.photo.brdf.movement import Edges, edges_near, outline_of
+from raden_torch.capture.photo.brdf.movement import Edges, edges_near, on_board, outline_of
 from raden_torch.capture.photo.brdf.photo_cells import CellGrid
 from raden_torch.capture.photo.brdf.photo_series import Frame, PhotoSeries, linear_frames
 from raden_torch.capture.photo.brdf.photo_white import (
@@ -30,7 +30,7 @@ from raden_torch.capture.photo.brdf.photo_white import (
 from raden_torch.capture.photo.brdf.pixel_samples import samples_in_cells
 from raden_torch.capture.photo.brdf.rays import rays_through
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
-from raden_torch.capture.photo.brdf.sample_shapes import Shape
+from raden_torch.capture.photo.brdf.sample_shapes import Plane, Shape
 from raden_torch.capture.photo.brdf.seen_surface import SeenSurface, seen_surfaces
 from raden_torch.capture.photo.brdf.shots import Shot
 from raden_torch.capture.photo.brdf.white_place import white_place
@@ -123,7 +123,7 @@ def first_pass(
     shapes: list[Shape] = []
     for view in views:
         shapes.append(view.seen.shape)
-        edges.append(edges_near(view.frame.radiance, outline_of(view.seen, series.size)))
+        edges.append(_edges_in(view, series))
         whites.append(_white_in(view, series, white, factor))
         # the lamp's own intensity stands for the white, which is known when all were read
         for part in samples_in_cells(view.frame, view.seen, view.lamp, view.lamp.rgb, grid):
@@ -173,6 +173,15 @@ def second_pass(
         samples=int(per_shot.sum()),
         left_out=1 - float(sums.count.sum()) / max(int(sums.seen.sum()), 1),
     )
+
+
+def _edges_in(view: PhotoView, series: PhotoSeries) -> Edges | None:
+    """Near the sample's outline; of a flat piece on the board in its own place there."""
+    found = edges_near(view.frame.radiance, outline_of(view.seen, series.size))
+    shape, pose, camera = view.seen.shape, view.shot.pose, series.camera
+    if found is None or pose is None or camera is None or not isinstance(shape, Plane):
+        return found
+    return on_board(found, shape, camera, pose)
 
 
 def _white_in(

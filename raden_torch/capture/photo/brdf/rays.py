@@ -74,6 +74,12 @@ def board_to_scene(pose: Pose, board_m: Any) -> Floats:
     return np.asarray(MM * p * Y_UP)
 
 
+def scene_to_board(pose: Pose, scene_mm: Any) -> Floats:
+    """Points `[…, 3]` of the camera's frame → the board's, mm."""
+    p = np.asarray(scene_mm, np.float64) * Y_UP - MM * pose.translation_m
+    return np.asarray(p @ pose.rotation)
+
+
 def board_direction(pose: Pose, direction: Any) -> Floats:
     """A direction in the board's frame → the camera's, y up."""
     return np.asarray((np.asarray(direction, np.float64) @ pose.rotation.T) * Y_UP)

@@ -124,7 +124,7 @@ def _judge(picture: Picture, board: Board, most_blur_px: float) -> Judged:
     try:
         view = find_board(grey, board, picture.name)
     except InputError as error:
-        refused = str(error).removeprefix(f"{picture.name}: ")
+        refused = "no board found: " + str(error).removeprefix(f"{picture.name}: ")
     else:
         blur = edge_blur(grey, view)
         if blur is None:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from raden_torch.arrays import Bools, Floats
+from raden_torch.arrays import Bools, Floats, Floats32
 from raden_torch.capture.photo.board import Board
 from raden_torch.capture.photo.brdf.rays import Y_UP, board_to_scene, projected
 from raden_torch.capture.photo.camera import Camera, Pose
@@ -27,13 +27,14 @@ from raden_torch.capture.photo.handheld.lamp_sights import (
 )
 from raden_torch.errors import InputError
 
-_IMAGE_PX, _SHADOW_M, _SAID_M, _LEVEL = 0.5, 5e-4, 3e-3, 0.03
+_IMAGE_PX, _SHADOW_M, _SAID_M, _LEVEL = 0.3, 5e-4, 3e-3, 0.03
 """Standard deviations of what is fitted: a lamp's image; a shadow's tip; where a person says that a
 ball touches, or that a flash is; light on a white square, relative, with stains and what the room
 adds."""
 _OUTLIER, _ROUNDS = 4.0, 4
 _STARTS_M = (0.15, 0.3, 0.6, 1.2)
-_FAR_M = 5.0
+_LOWEST_M, _GRAZING = 0.02, 0.02
+"""A lamp stands higher over the board than this; below this cosine its light is as good as none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,18 +87,23 @@ class LampSetting:
 
 
 def find_lamp(
-    setting: LampSetting, poses: Sequence[Pose], seen: Sequence[Sights], name: str
+    setting: LampSetting,
+    poses: Sequence[Pose],
+    seen: Sequence[Sights],
+    table: Floats32,
+    name: str,
 ) -> FoundLamp:
     """The lamp of pictures that were taken under one.
 
     Args:
         seen: of each picture.
+        table: `[256]` stored value → linear light.
         name: of the clip, for messages.
 
     Raises:
         InputError: nothing shows it, or what does contradicts itself.
     """
-    fit = _Fit(setting, poses, seen)
+    fit = _Fit(setting, poses, seen, table)
     if fit.image_count == 0 and not setting.shadows and setting.said_m is None:
         raise InputError(
             f"{name}: the lamp's image was found in no ball or mirror of {len(poses)} pictures: "
@@ -112,7 +118,11 @@ class _Fit:
     """Residuals of all that is seen, for places of the lamp and the balls."""
 
     def __init__(
-        self, setting: LampSetting, poses: Sequence[Pose], seen: Sequence[Sights]
+        self,
+        setting: LampSetting,
+        poses: Sequence[Pose],
+        seen: Sequence[Sights],
+        table: Floats32,
     ) -> None:
         self.setting, self.poses = setting, list(poses)
         self.turn = np.array([pose.rotation for pose in poses])
@@ -122,7 +132,7 @@ class _Fit:
         self.mirrors = np.array([s.mirrors for s in seen]).reshape(len(poses), -1, 2)
         points = white_squares_m(setting.board).mean(axis=1)
         self.squares = np.c_[points, np.zeros(len(points))]
-        level = np.array([s.squares for s in seen])
+        level = np.interp(np.array([s.squares for s in seen]), np.arange(len(table)), table)
         with np.errstate(divide="ignore", invalid="ignore"):
             self.level = np.where(level > 0, np.log(level), np.nan)
         self.corner2 = self._corner_distances()
@@ -189,7 +199,7 @@ class _Fit:
         square = (to**2).sum(-1)
         facing = -to[..., 2] / np.sqrt(square)
         with np.errstate(divide="ignore", invalid="ignore"):
-            left = self.level - np.log(np.where(facing > 0.05, facing / square, np.nan))
+            left = self.level - np.log(np.maximum(facing, _GRAZING) / square)
         known = np.isfinite(left)
         row = known.sum(axis=1, keepdims=True)
 
@@ -211,10 +221,11 @@ class _Fit:
             parts.append(np.clip(off[used], -1e4, 1e4).ravel() / _IMAGE_PX)
         level = self.level_residuals(p)[0]
         # the errors of a square are alike in all pictures: together they count as one sight of it
-        weight = 1 / np.sqrt(np.maximum(np.isfinite(level).sum(axis=0), 1)) / _LEVEL
-        parts.append(np.nan_to_num(level * weight).ravel())
+        count = np.isfinite(level).sum(axis=0)
+        parts.append(np.nansum(level, axis=0)[count > 0] / count[count > 0] / _LEVEL)
         if not self.setting.moves:
             parts.append(self._shadow_residuals(p[:3]))
+            parts.append(np.maximum(p[2:3] + _LOWEST_M, 0) / _SHADOW_M)
         return np.concatenate(parts)
 
     def _shadow_residuals(self, at: Floats) -> Floats:

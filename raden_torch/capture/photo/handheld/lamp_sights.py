@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.arrays import Bools, Floats
+from raden_torch.arrays import Bools, Floats, Floats32
 from raden_torch.capture.photo.board import Board
 from raden_torch.capture.photo.brdf.board_region import board_pixels
 from raden_torch.capture.photo.brdf.pixel_regions import polygon_pixels
@@ -17,6 +17,8 @@ from raden_torch.capture.photo.brdf.rays import board_to_scene, projected
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.errors import InputError
 
+CLIPPED = 250
+"""Stored value from which a pixel of 8 bits counts as clipped."""
 _AROUND = 1.3
 """Of a ball's outline: its place may be off by so much."""
 _TURN = np.linspace(0, 2 * np.pi, 48, endpoint=False)
@@ -98,7 +100,8 @@ class Sights:
     Attributes:
         balls: `[B, 2]` pixels of its image in each ball, NaN where it is not seen.
         mirrors: `[M, 2]` the same in each flat mirror.
-        squares: `[S]` linear light of the board's white squares, NaN where it is not seen.
+        squares: `[S]` stored values 0…255 (green) of the board's white squares, NaN where it is
+            not seen or clipped.
     """
 
     balls: Floats
@@ -107,8 +110,8 @@ class Sights:
 
 
 def sights(
-    linear: NDArray[np.float32],
-    usable: Bools,
+    stored: NDArray[np.uint8],
+    table: Floats32,
     camera: Camera,
     pose: Pose,
     board: Board,
@@ -119,17 +122,17 @@ def sights(
     """Look for the lamp in one picture.
 
     Args:
-        linear: `[H, W, 3]`.
-        usable: `[H, W]`: not saturated.
+        stored: `[H, W, 3]` the picture.
+        table: `[256]` stored value → linear light, about.
         covered: `[S]` white squares on which something lies.
     """
-    grey = linear.mean(axis=2)
+    grey = table[stored].mean(axis=2)
     size = grey.shape[0], grey.shape[1]
     in_balls = [_in(grey, ball_pixels(ball, camera, pose, size)) for ball in balls]
     in_mirrors = [
         _in(grey, board_pixels(mirror.raised_m, camera, pose, size, "mirror")) for mirror in mirrors
     ]
-    squares = np.where(usable, linear[..., 1], np.nan)
+    squares = np.where((stored < CLIPPED).all(axis=2), stored[..., 1], np.nan)
     return Sights(
         np.reshape(in_balls, (-1, 2)),
         np.reshape(in_mirrors, (-1, 2)),
