@@ -11,12 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from raden_torch.arrays import Bools, Floats, Floats32
 from raden_torch.capture.photo.board import Board
-from raden_torch.capture.photo.brdf.rays import Y_UP, board_to_scene, projected
+from raden_torch.capture.photo.brdf.rays import Y_UP, board_to_scene, projected, undistorted
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.handheld.lamp_sights import (
     ChromeBall,
@@ -31,7 +33,9 @@ _IMAGE_PX, _SHADOW_M, _SAID_M, _LEVEL = 0.3, 5e-4, 3e-3, 0.03
 """Standard deviations of what is fitted: a lamp's image; a shadow's tip; where a person says that a
 ball touches, or that a flash is; light on a white square, relative, with stains and what the room
 adds."""
-_OUTLIER, _ROUNDS = 4.0, 4
+_OUTLIER, _MOST_PX, _ROUNDS = 4.0, 1.5, 4
+_TRIED, _SOLVED = 25, 60
+"""Evaluations of a start, and of the best of them."""
 _STARTS_M = (0.15, 0.3, 0.6, 1.2)
 _LOWEST_M, _GRAZING = 0.02, 0.02
 """A lamp stands higher over the board than this; below this cosine its light is as good as none."""
@@ -110,8 +114,7 @@ def find_lamp(
             "are their places on the board right? Expose so that the white is not clipped, and "
             "cover windows"
         )
-    found = min((fit.solved(start) for start in fit.starts()), key=lambda each: each[1])
-    return fit.described(found[0], name)
+    return fit.described(fit.solved(), name)
 
 
 class _Fit:
@@ -154,16 +157,58 @@ class _Fit:
         ])  # fmt: skip
 
     def starts(self) -> list[Floats]:
-        """Parameters to begin with: the lamp, then the balls' shifts."""
+        """Parameters to begin with: the lamp, then the balls' shifts. The lamp lies where the rays
+        meet that its images and shadows say, or, where they are nearly one, on their way."""
         rest = np.zeros(self.touch.size)
+        if self.setting.said_m is not None:
+            return [np.r_[self.setting.said_m, rest]]
+        point, way = self._rays()
+        meeting = _nearest_point(point, way)
         if self.setting.moves:
-            first = np.zeros(3) if self.setting.said_m is None else self.setting.said_m
-            return [np.r_[first, rest]]
-        return [
-            np.r_[self.setting.middle_m + reach * np.array([x, y, -z]), rest]
-            for reach in _STARTS_M
-            for x, y, z in ((0, 0, 1), (0.7, 0, 0.7), (-0.7, 0, 0.7), (0, 0.7, 0.7), (0, -0.7, 0.7))
-        ]
+            return [np.r_[meeting, rest]]
+        middle, towards = np.median(point, axis=0), np.median(way, axis=0)
+        away = [middle + reach * towards / np.linalg.norm(towards) for reach in _STARTS_M]
+        return [np.r_[at, rest] for at in (meeting, *away) if at[2] < -_LOWEST_M]
+
+    def _rays(self) -> tuple[Floats, Floats]:
+        """`[R, 3]` points and unit directions to the lamp, in its frame."""
+        points, ways = [], []
+        for b, ball in enumerate(self.setting.balls):
+            centre = ball.centre_m
+            rows, way = self._sight_lines(self.balls[:, b])
+            near = ((centre - self.eye[rows]) * way).sum(1, keepdims=True)
+            miss = self.eye[rows] + near * way - centre
+            depth = np.sqrt(np.maximum(ball.radius_m**2 - (miss**2).sum(1, keepdims=True), 0))
+            normal = _unit(miss - depth * way)
+            points.append((rows, centre + ball.radius_m * normal))
+            ways.append(way - 2 * (way * normal).sum(1, keepdims=True) * normal)
+        for m, mirror in enumerate(self.setting.mirrors):
+            rows, way = self._sight_lines(self.mirrors[:, m])
+            reach = (-mirror.height_m - self.eye[rows, 2:]) / way[:, 2:]
+            points.append((rows, self.eye[rows] + reach * way))
+            ways.append(way * [1, 1, -1])
+        if self.setting.moves:
+            shown = [
+                np.einsum("kij,kj->ki", self.turn[rows], p) + self.shift[rows] for rows, p in points
+            ]
+            turned = [
+                np.einsum("kij,kj->ki", self.turn[rows], w)
+                for (rows, _), w in zip(points, ways, strict=True)
+            ]
+            return np.concatenate(shown), np.concatenate(turned)
+        for pin in self.setting.shadows:
+            tip = np.array([pin.tip_x_m, pin.tip_y_m, 0.0])
+            points.append((np.zeros(1, int), tip[None]))
+            ways.append(_unit(np.array([[pin.x_m, pin.y_m, -pin.height_m]]) - tip))
+        return np.concatenate([p for _, p in points]), np.concatenate(ways)
+
+    def _sight_lines(self, pixels: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """Numbers of the pictures that have a pixel `[K, 2]`, and the ways `[n, 3]` on the board on
+        which these look."""
+        rows = np.flatnonzero(np.isfinite(pixels[:, 0]))
+        straight = undistorted(self.setting.camera, pixels[rows])
+        way = np.c_[straight, np.ones(len(rows))]
+        return rows, _unit(np.einsum("kji,kj->ki", self.turn[rows], way))
 
     def lamps_m(self, at: Floats) -> Floats:
         """`[K, 3]` the lamp of each picture in the board's frame."""
@@ -237,25 +282,31 @@ class _Fit:
             off.append((falls - [pin.tip_x_m, pin.tip_y_m]) / _SHADOW_M)
         return np.ravel(off)
 
-    def solved(self, start: Floats) -> tuple[Floats, float]:
-        """Parameters and cost, after images that do not fit were left out."""
+    def solved(self) -> Floats:
+        """Parameters from the best of the starts, after images that do not fit were left out."""
         from scipy.optimize import least_squares
 
-        self.used_balls = np.isfinite(self.balls[..., 0])
-        self.used_mirrors = np.isfinite(self.mirrors[..., 0])
         scale = np.r_[np.full(3, 0.1), np.full(self.touch.size, 1e-3)]
-        found = least_squares(self.residuals, start, loss="soft_l1", x_scale=scale, max_nfev=60)
+
+        def fitted(start: Floats, most: int) -> Any:
+            return least_squares(
+                self.residuals, start, loss="soft_l1", x_scale=scale, max_nfev=most
+            )
+
+        found = min(
+            (fitted(start, _TRIED) for start in self.starts()), key=lambda each: float(each.cost)
+        )
         for _ in range(_ROUNDS):
-            before = self.used_balls.sum() + self.used_mirrors.sum()
             in_balls, in_mirrors = self.image_residuals(found.x)
-            limit = _OUTLIER * max(_IMAGE_PX, self._spread(in_balls, in_mirrors))
+            limit = _OUTLIER * np.clip(self._spread(in_balls, in_mirrors), _IMAGE_PX, _MOST_PX)
+            before = self._left_out
             with np.errstate(invalid="ignore"):
                 self.used_balls = np.linalg.norm(in_balls, axis=2) < limit
                 self.used_mirrors = np.linalg.norm(in_mirrors, axis=2) < limit
-            if self.used_balls.sum() + self.used_mirrors.sum() == before:
+            found = fitted(found.x, _SOLVED)
+            if self._left_out == before:
                 break
-            found = least_squares(self.residuals, found.x, loss="soft_l1", x_scale=scale)
-        return found.x, float(found.cost) + 8.0 * self._left_out
+        return np.asarray(found.x)
 
     @property
     def _left_out(self) -> int:
@@ -327,6 +378,20 @@ def mirror_points(centre: Floats, radius: float, eye: Floats, lamp: Floats) -> F
             break
         normal = new
     return np.asarray(centre + radius * normal)
+
+
+def _nearest_point(point: Floats, way: Floats) -> Floats:
+    """The point `[3]` nearest to rays `[R, 3]`, by the sum of distances: Weiszfeld's weights."""
+    across = np.eye(3) - way[:, :, None] * way[:, None, :]
+    weight = np.ones(len(point))
+    nearest = np.zeros(3)
+    for _ in range(20):
+        left = (across * weight[:, None, None]).sum(axis=0)
+        right = np.einsum("r,rij,rj->i", weight, across, point)
+        nearest = np.linalg.lstsq(left, right, rcond=None)[0]
+        miss = np.linalg.norm(np.einsum("rij,rj->ri", across, nearest - point), axis=1)
+        weight = 1 / np.maximum(miss, 1e-3)
+    return np.asarray(nearest)
 
 
 def _unit(v: Floats) -> Floats:

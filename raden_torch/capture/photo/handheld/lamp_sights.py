@@ -23,6 +23,8 @@ _AROUND = 1.3
 """Of a ball's outline: its place may be off by so much."""
 _TURN = np.linspace(0, 2 * np.pi, 48, endpoint=False)
 _PEAK = 0.8
+_BRIGHT = 0.4
+"""Of full scale: a lamp's image is clipped, or nearly."""
 _STANDS_OUT = 1.6
 """How many times brighter than what lies around it the lamp's image has to be, in linear light."""
 _LARGEST = 0.06
@@ -206,6 +208,8 @@ def _in(grey: NDArray[np.float32], region: Bools) -> Floats:
     window = np.s_[top : ys.max() + 1, left : xs.max() + 1]
     part, inside = grey[window], region[window]
     peak = float(part[inside].max())
+    if peak < _BRIGHT:
+        return nothing
     bright = ((part >= _PEAK * peak) & inside).astype(np.uint8)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(bright, connectivity=8)
     best: list[tuple[float, Floats]] = []
