@@ -48,7 +48,9 @@ def _farthest(places: Floats, count: int) -> list[int]:
         return []
     chosen = [int(np.linalg.norm(places - places.mean(axis=0), axis=1).argmax())]
     away = np.linalg.norm(places - places[chosen[0]], axis=1)
+    away[chosen] = -1.0
     while len(chosen) < count:
         chosen.append(int(away.argmax()))
         away = np.minimum(away, np.linalg.norm(places - places[chosen[-1]], axis=1))
+        away[chosen] = -1.0
     return chosen

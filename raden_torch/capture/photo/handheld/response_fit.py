@@ -98,17 +98,17 @@ def fit_response(pictures: Sequence[Greys], *, locked: bool = False) -> Response
     table = _curve(np.arange(_LEVELS + 1) / _LEVELS, spline)
     table[0] = 0.0
     known = float(stored.min()), float(stored.max())
-    seen = table[round(known[1])] / max(table[round(known[0])], 1e-9)
-    if seen < _LEAST_RANGE:
-        raise InputError(
-            f"response: expected greys whose light differs by {_LEAST_RANGE:g} times or more, got "
-            f"{seen:.1f} times (stored values {known[0]:.0f} to {known[1]:.0f}); add darker patches"
-        )
     inside = table[round(known[0]) : round(known[1]) + 1]
     if not (np.diff(inside) > 0).all():
         raise InputError(
             "response: no rising curve fits the greys: are their places and reflectances right, "
             "and in the same order?"
+        )
+    seen = table[round(known[1])] / max(table[round(known[0])], 1e-9)
+    if seen < _LEAST_RANGE:
+        raise InputError(
+            f"response: expected greys whose light differs by {_LEAST_RANGE:g} times or more, got "
+            f"{seen:.1f} times (stored values {known[0]:.0f} to {known[1]:.0f}); add darker patches"
         )
     table = np.maximum.accumulate(table)
     return Response(

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 
 from tests.capture.photo.brdf.conftest import unit
-from tests.capture.photo.handheld_ball import add_ball
-from tests.capture.photo.handheld_card import (
+from tests.capture.photo.handheld.simulated_ball import add_ball
+from tests.capture.photo.handheld.simulated_card import (
     GREYS,
     TABLE,
     Card,
@@ -25,7 +25,7 @@ from tests.capture.photo.handheld_card import (
     patches,
     rectangle,
 )
-from tests.capture.photo.handheld_phone import (
+from tests.capture.photo.handheld.simulated_phone import (
     Frame,
     Phone,
     developed,

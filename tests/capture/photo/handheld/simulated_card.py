@@ -1,5 +1,5 @@
 """What the simulated photographs by a phone in the hand show: a flat piece, a white field and what
-else is wanted on a printed ChArUco card, and one small lamp. Board frame: `handheld_phone`'s."""
+else is wanted on a printed ChArUco card, and one small lamp. Board frame: `simulated_phone`'s."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tests.capture.photo.brdf.conftest import shell
-from tests.capture.photo.handheld_phone import Frame
+from tests.capture.photo.handheld.simulated_phone import Frame
 
 Array = np.ndarray
 GREYS = (0.90, 0.59, 0.36, 0.20, 0.09, 0.03)

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from tests.capture.photo.brdf.conftest import unit
-from tests.capture.photo.handheld_card import Scene, irradiance
-from tests.capture.photo.handheld_phone import Frame, Phone
+from tests.capture.photo.handheld.simulated_card import Scene, irradiance
+from tests.capture.photo.handheld.simulated_phone import Frame, Phone
 
 Array = np.ndarray
 CHROME = 0.6  # reflectance

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 from tests.capture.photo.brdf.conftest import shell, unit
-from tests.capture.photo.handheld_scene import (
+from tests.capture.photo.handheld.simulated_scene import (
     Frame,
     Phone,
     Scene,
