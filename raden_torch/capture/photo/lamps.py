@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
+from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.ball import Ball
@@ -48,6 +49,8 @@ class Lamps:
             reference gave them; None where nothing is known.
         std_deg: `[K]` standard deviation of each direction, in each of two directions across; None
             where nothing is known.
+        moved: `[K]` bool, lamps that stood elsewhere when a reference sphere was photographed;
+            normals leave them out. None where that was not asked.
     """
 
     direction: Floats
@@ -62,6 +65,7 @@ class Lamps:
     distortion: Floats | None = None
     tint: Floats | None = None
     std_deg: Floats | None = None
+    moved: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.direction)
@@ -142,6 +146,7 @@ class LampEntry(Struct):
     position_px: Triple | None = None
     position_mm: Triple | None = None
     direction_std_deg: Positive | None = None
+    moved: bool = False
 
 
 class LightsFile(Struct):
@@ -225,6 +230,7 @@ def write_lamps(
         | ({} if lamps.std_deg is None else {"direction_std_deg": _digits(lamps.std_deg[k])})
         | ({} if lamps.tint is None else {"tint_rgb": np.round(lamps.tint[k], 5)})
         | ({} if lamps.position is None else {f"position_{lamps.unit}": lamps.position[k]})
+        | ({} if lamps.moved is None or not lamps.moved[k] else {"moved": True})
         for k, name in enumerate(lamps.names or [str(k) for k in range(len(lamps))])
     ]
     found = [
@@ -262,6 +268,7 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
     if not largest.all():
         k = int(np.argmin(largest))
         raise InputError(f"{path}: lamps[{k}].direction_to_lamp: expected a direction, got 0, 0, 0")
+    moved = np.array([lamp.moved for lamp in found.lamps])
     direction = direction / largest  # whose squares do not overflow
     return Lamps(
         direction / np.linalg.norm(direction, axis=1, keepdims=True),
@@ -274,6 +281,7 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
         tint=_column(path, found.lamps, "tint_rgb"),
         names=tuple(lamp.photograph for lamp in found.lamps),
         std_deg=_column(path, found.lamps, "direction_std_deg"),
+        moved=moved if moved.any() else None,
     )
 
 
