@@ -25,7 +25,6 @@ _FEWEST = 100
 _MOST_ROUNDS, _STILL = 200, 1e-5
 _SAMPLE = 2500
 """Pixels that the response is fitted on."""
-_TURNS = 4
 _ALIKE = 0.1
 """Lamps that differ by less are taken as equally bright for the response: where lamps moved, the
 sphere tells their brightness no better."""
@@ -178,18 +177,13 @@ def fit_response(
     clipped = (torch.zeros_like(grey) if saturated is None else picked(saturated)[:, 0]) > 0
     away = torch.tensor([[0.0], [0.0], [1.0]]) if view is None else picked(view)[0]
     sphere = _Seen(grey, clipped, lights, truth, away.expand(3, len(rows)))
-    intensity = torch.ones(len(images))
-    for _ in range(_TURNS):
-        body = sphere.body(intensity)
-        found = relative_intensities(
-            images, lights, normal, inside, saturated=saturated, exponent=body.exponent
-        )
-        if float((found / intensity - 1).abs().max()) < _ALIKE:
-            break
-        intensity = found
-    return ResponseFit(
-        body, sphere.error_deg(intensity, body), sphere.error_deg(torch.ones(len(images)))
+    body = sphere.body(alike=True)
+    bright = relative_intensities(
+        images, lights, normal, inside, saturated=saturated, exponent=body.exponent
     )
+    if float((bright - 1).abs().max()) > _ALIKE:
+        body = sphere.body(alike=False)
+    return ResponseFit(body, sphere.error_deg(body), sphere.error_deg())
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,27 +202,16 @@ class _Seen:
         lights = (self.lights / self.lights.norm(dim=1, keepdim=True)).double().numpy()
         return lights[:, :, None], self.view.double().numpy()
 
-    def body(self, intensity: Tensor) -> ReferenceBody:
+    def body(self, *, alike: bool) -> ReferenceBody:
         lights, view = self._geometry
-        value = self.grey.double().numpy()
-        relative = intensity.double().numpy()[:, None]
+        value, truth = self.grey.double().numpy(), self.truth.double().numpy()
+        return fit_body(value, lights, truth, view, ~self.clipped.numpy(), alike=alike)
 
-        def over(exponent: float) -> NDArray[Any]:
-            return np.asarray(value / relative ** (1 / exponent))
-
-        truth, usable = self.truth.double().numpy(), ~self.clipped.numpy()
-        found = fit_body(value, lights, truth, view, usable)
-        if float(np.ptp(relative)) == 0:
-            return found
-        for _ in range(2):
-            found = fit_body(over(found.exponent), lights, truth, view, usable)
-        return found
-
-    def error_deg(self, intensity: Tensor, body: ReferenceBody | None = None) -> float:
-        """Median angle of normals by the body; by "robust" and exponent 1 without one."""
-        exponent = 1.0 if body is None else body.exponent
-        clipped = self.clipped
+    def error_deg(self, body: ReferenceBody | None = None) -> float:
+        """Median angle of normals by the body; by "robust", lamps alike and exponent 1 without."""
+        exponent, clipped, intensity = 1.0, self.clipped, torch.ones(len(self.grey))
         if body is not None:
+            exponent, intensity = body.exponent, torch.from_numpy(body.intensity).float()
             clipped = clipped | torch.from_numpy(body.moved)[:, None]
         matt = solve_normals(
             self.grey[:, None, None],

@@ -17,6 +17,7 @@ from raden_torch.arrays import Floats
 
 _EXPONENTS, _HEIGHTS, _WIDTHS_DEG = (0.4, 2.6), (0.0, 2.0), (8.0, 40.0)
 _START = (1.1, 0.1, 14.0)
+_LOG_BRIGHT = (-3.0, 3.0)
 _LIT, _DARK = 0.12, 0.03
 """Cosine of the incidence, and share of the brightest value, below which nothing is compared."""
 _SCALE = 0.02
@@ -28,8 +29,8 @@ _MOVED, _MOVED_LEAST = 2.5, 0.02
 _LEAST_LAMPS = 6
 """With fewer, nothing tells which of them moved."""
 _ROUNDS, _STEP = 20, 0.15
-_FLOOR, _DOUBT = 0.01, 0.5
-"""The solver's residuals, relative to ρ: a floor, and the share of the highlight it is sure to."""
+_FLOOR, _DOUBT = 0.01, 1.0
+"""A floor of the solver's residuals, relative to ρ, and how much of the highlight is doubted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +42,7 @@ class ReferenceBody:
         height, width_deg: h and w of the highlight.
         residual: `[K]` root mean square of what is left, relative to the median ρ.
         moved: `[K]` bool, lamps that fit the sphere nowhere near as well as the others do.
+        intensity: `[K]` of the lamps, relative; alike unless they were fitted.
     """
 
     exponent: float
@@ -48,6 +50,7 @@ class ReferenceBody:
     width_deg: float
     residual: Floats
     moved: NDArray[np.bool_]
+    intensity: Floats
 
     @property
     def noise(self) -> Floats:
@@ -66,12 +69,19 @@ class ReferenceBody:
 
 
 def fit_body(
-    value: Floats, lights: Floats, normal: Floats, view: Floats, usable: NDArray[np.bool_]
+    value: Floats,
+    lights: Floats,
+    normal: Floats,
+    view: Floats,
+    usable: NDArray[np.bool_],
+    *,
+    alike: bool = True,
 ) -> ReferenceBody:
     """Exponent and highlight that explain the photographs best, lamps that moved left out.
 
     Args:
-        value: `[K, P]` as photographed, over the lamps' relative intensities.
+        value: `[K, P]` as photographed.
+        alike: the lamps are equally bright; else their intensities are fitted, too.
         lights: `[K, 3, P or 1]` unit vectors to the lamps.
         normal, view: `[3, P]` unit, known.
         usable: `[K, P]` values that are not clipped.
@@ -80,7 +90,7 @@ def fit_body(
     value = value / value.max()
     kept = np.ones(count, bool)
     while True:
-        body = _fitted(value, lights, normal, view, usable, kept)
+        body = _fitted(value, lights, normal, view, usable, kept, alike=alike)
         ratio = np.where(kept, body.residual / np.median(body.residual[kept]), 0.0)
         worst = int(ratio.argmax())
         if (
@@ -100,6 +110,8 @@ def _fitted(
     view: Floats,
     usable: NDArray[np.bool_],
     kept: NDArray[np.bool_],
+    *,
+    alike: bool,
 ) -> ReferenceBody:
     """By robust least squares over the lamps kept, twice: the second time each lamp weighs by what
     it left the first time."""
@@ -110,11 +122,16 @@ def _fitted(
     base = value.clip(1e-6)
     noise = np.ones(len(value))
 
+    def intensities(x: Floats) -> Floats:
+        """`[K]` of mean 1."""
+        bright = np.exp(x[3:]) if len(x) > 3 else np.ones(len(value))
+        return np.asarray(bright / bright.mean())
+
     def left(x: Floats, lamps: NDArray[np.bool_]) -> Floats:
         """`[K, P]` what is left, relative to the median ρ, with each ρ from these lamps."""
-        exponent, height, width = x
+        exponent, height, width = x[:3]
         shown = cosine.clip(0) + _highlight(normal, lights, view, height, width)
-        linear = base**exponent
+        linear = base**exponent / intensities(x)[:, None]
         weight = good / noise[:, None] ** 2 * lamps[:, None]
         rho = (weight * shown * linear).sum(0) / (weight * shown**2).sum(0).clip(1e-9)
         middle = max(float(np.median(rho[rho > 0])), 1e-12) if (rho > 0).any() else 1.0
@@ -123,18 +140,19 @@ def _fitted(
     def residuals(x: Floats) -> Floats:
         return np.asarray((left(x, kept) / (_SCALE * noise[:, None]))[kept].ravel())
 
-    low, high = zip(_EXPONENTS, _HEIGHTS, _WIDTHS_DEG, strict=True)
-    x = np.array(_START)
+    bright = 0 if alike else len(value)
+    low, high = zip(_EXPONENTS, _HEIGHTS, _WIDTHS_DEG, *[_LOG_BRIGHT] * bright, strict=True)
+    scale = np.array([0.1, 0.1, 5.0, *[0.1] * bright])
+    x = np.array([*_START, *[0.0] * bright])
     for turn in range(2):
-        found = least_squares(
-            residuals, x, bounds=(low, high), loss="soft_l1", x_scale=(0.1, 0.1, 5.0)
-        )
+        found = least_squares(residuals, x, bounds=(low, high), loss="soft_l1", x_scale=scale)
         x = found.x
         square = np.minimum(left(x, kept) ** 2, _LARGEST**2).sum(1)
         residual = np.sqrt(square / good.sum(1).clip(1))
         if turn == 0:
             noise = np.maximum(residual / max(np.median(residual[kept]), 1e-12), _LEAST_NOISE)
-    return ReferenceBody(float(x[0]), float(x[1]), float(x[2]), residual, ~kept)
+    exponent, height, width = (float(v) for v in x[:3])
+    return ReferenceBody(exponent, height, width, residual, ~kept, intensities(x))
 
 
 def _highlight(

@@ -204,6 +204,31 @@ def test_a_response_is_found_on_known_normals() -> None:
     assert "1.8" in str(fit)
 
 
+@pytest.mark.parametrize("uneven", [0.0, 0.4])
+def test_a_response_beside_a_highlight_and_a_lamp_that_moved(uneven: float) -> None:
+    """Simulated: an exponent alone would be bent by both; of unequal lamps none is thought to have
+    moved for its brightness."""
+    normal, mask = sphere()
+    lights = ring(12, 60.0)
+    moved = lights.clone()
+    moved[4] = torch.tensor([0.17, -0.17, 0.0]) + lights[4]
+    moved[4] /= moved[4].norm()
+    half = moved + torch.tensor([0.0, 0.0, 1.0])
+    half = half / half.norm(dim=1, keepdim=True)
+    square = 2 * (1 - (half[:, :, None, None] * normal).sum(1, keepdim=True))
+    facing = matt(normal, moved, 1.0)
+    lit = facing + 0.15 * torch.exp(-square / (2 * np.radians(15) ** 2)) * (facing > 0)
+    bright = (1 + uneven * torch.linspace(-1, 1, 12).double()).view(-1, 1, 1, 1)
+    images = (0.6 * bright * lit) ** (1 / 1.2)
+    fit = fit_response(images, lights, normal.float(), mask > 0)
+    assert fit.exponent == pytest.approx(1.2, abs=0.01)
+    assert fit.body.height == pytest.approx(0.15, abs=0.01)
+    assert fit.body.width_deg == pytest.approx(15, abs=1)
+    assert np.flatnonzero(fit.body.moved).tolist() == [4]
+    assert fit.error_deg < 0.3 < 2.0 < fit.error_linear_deg
+    assert "highlight" in str(fit)
+
+
 def test_intensities_from_a_card_and_a_stained_sphere() -> None:
     lights = ring(8, 55.0)
     true = torch.linspace(0.8, 1.2, 8, dtype=torch.float64)
@@ -319,7 +344,7 @@ def test_the_real_grey_sphere_with_nothing_fitted(real) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("side", "matt", "limit"),
-    [("left", 3.3, 2.5), ("right", 2.6, 2.2), ("top", 1.6, 1.6), ("bottom", 4.9, 3.1)],
+    [("left", 3.3, 2.4), ("right", 2.6, 2.2), ("top", 1.6, 1.55), ("bottom", 4.9, 2.9)],
 )
 def test_the_real_grey_sphere_with_its_response(real, side: str, matt: float, limit: float) -> None:
     """Fitted on one half, tested on the other, by the matt law and with the fitted highlight.
