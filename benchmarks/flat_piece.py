@@ -71,6 +71,7 @@ def main() -> None:
     options.add_argument("--materials", action="store_true")
     options.add_argument("--photographs", type=Path)
     said = options.parse_args()
+    said.out.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, object]] = []
     if said.choices:
         rows = choices(said.shell)

@@ -41,6 +41,9 @@ from raden_torch.errors import InputError
 from raden_torch.images.colour_space import SRGB_SPACE
 
 _CALIBRATED_ON = 40
+_TWICE, _MORE_PX = 2.0, 0.2
+"""A camera file's corners lie farther off than this many times, and pixels, those of a camera that
+is calibrated on the pictures themselves: it is another."""
 _MOST_CLIPPED, _DARK = 0.1, 24
 _FEWEST = 4
 """Photographs; fewer tell of no lamp."""
@@ -271,26 +274,23 @@ def _camera_and_poses(
     sharp = [k for k, each in enumerate(looked) if each.view is not None and not each.refused]
     if len(sharp) < _FEWEST:
         raise InputError(_too_few(looked, len(sharp)))
-    calibration = None
-    if setup.camera is None:
-        best = sorted(sharp, key=lambda k: -len(_view(looked[k]).ids))
-        some = best[:: max(1, len(best) // _CALIBRATED_ON)][:_CALIBRATED_ON]
-        calibration = calibrate([_view(looked[k]) for k in some])
-        camera = calibration.camera
-    else:
-        camera = read_camera(setup.camera)
+    best = sorted(sharp, key=lambda k: -len(_view(looked[k]).ids))
+    some = [_view(looked[k]) for k in best[:: max(1, len(best) // _CALIBRATED_ON)]]
+    calibration = calibrate(some[:_CALIBRATED_ON])
+    camera = calibration.camera if setup.camera is None else read_camera(setup.camera)
     poses = {k: board_pose(_view(looked[k]), camera) for k in sharp}
     rms = float(np.median([pose.rms_px for pose in poses.values()]))
+    own = float(np.median([pose.rms_px for pose in calibration.poses]))
+    if rms > max(_TWICE * own, own + _MORE_PX):
+        raise InputError(
+            f"{setup.camera}: expected the camera that took these pictures, got one by which the "
+            f"board's corners lie {rms:.1f} px off ({own:.1f} px by the pictures themselves): "
+            "another lens, zoom or focus; leave it out"
+        )
     views = [_view(looked[k]) for k in sharp]
     wrong = bent(heights_m(views, camera, list(poses.values())), setup.board.square_m)
     if wrong is not None:
         raise InputError(wrong)
-    if rms > MOST_RMS_PX:
-        source = setup.camera or "the camera"
-        raise InputError(
-            f"{source}: expected the camera that took these pictures, got one by which the board's "
-            f"corners lie {rms:.1f} px off: another lens or zoom, or a card that is bent"
-        )
     looked = list(looked)
     for k, pose in list(poses.items()):
         why = zoomed(*zoom_of(_view(looked[k]), camera, pose))
@@ -299,7 +299,7 @@ def _camera_and_poses(
         if why is not None:
             looked[k] = looked[k].because(why)
             del poses[k]
-    return camera, calibration, looked, poses
+    return camera, None if setup.camera else calibration, looked, poses
 
 
 def _chosen(looked: Sequence[Judged], poses: dict[int, Pose], setup: HandheldSetup) -> list[int]:

@@ -147,7 +147,10 @@ def read_lit_set(
     coded: Coding = "auto",
     progress: Callable[[float], None] | None = None,
 ) -> LitSet:
-    """Photographs, mask and lamps that belong together; arguments as for `capture_normals`."""
+    """Photographs, mask and lamps that belong together; arguments as for `capture_normals`.
+
+    Photographs under lamps that moved count as saturated everywhere, so that nothing uses them.
+    """
     lamps = _read_lamps(lights, photographs)
     photos = read_set(photographs, coded=coded, progress=progress)
     inside = np.ones(photos.size, np.float32) if mask is None else read_mask(mask, photos.size)
@@ -156,6 +159,8 @@ def read_lit_set(
     if lamps.tint is not None:
         tint = torch.from_numpy(lamps.tint).float() ** (1 / power)
         photos.images.div_(tint[:, :, None, None])
+    if lamps.moved is not None:
+        photos.saturated[torch.from_numpy(lamps.moved)] = True
     return LitSet(photos, lamps, inside, power, _directions(lamps, photos.size, plane_z))
 
 
@@ -167,7 +172,8 @@ def _read_lamps(lights: Path, photographs: Sequence[Path]) -> Lamps:
             f"{lights}: expected one lamp per photograph, in their order, got {len(lamps)} lamps "
             f"for {len(photographs)} photographs"
         )
-    check_lights(torch.from_numpy(lamps.direction), lights)
+    used = slice(None) if lamps.moved is None else ~lamps.moved
+    check_lights(torch.from_numpy(lamps.direction[used]), lights)
     _warn_of_names(photographs, lamps, lights)
     return lamps
 

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from msgspec import Meta, Struct
+from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.ball import Ball
@@ -50,6 +51,8 @@ class Lamps:
             reference gave them; None where nothing is known.
         std_deg: `[K]` standard deviation of each direction, in each of two directions across; None
             where nothing is known.
+        moved: `[K]` bool, lamps that stood elsewhere when a reference sphere was photographed;
+            normals leave them out. None where that was not asked.
     """
 
     direction: Floats
@@ -65,6 +68,7 @@ class Lamps:
     tint: Floats | None = None
     std_deg: Floats | None = None
     photographs: tuple[tuple[str, ...], ...] = ()
+    moved: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.direction)
@@ -146,6 +150,7 @@ class LampEntry(Struct):
     position_mm: Triple | None = None
     direction_std_deg: Positive | None = None
     photographs: tuple[str, ...] = ()
+    moved: bool = False
 
 
 class LightsFile(Struct):
@@ -230,6 +235,7 @@ def write_lamps(
         | ({} if lamps.tint is None else {"tint_rgb": np.round(lamps.tint[k], 5)})
         | ({} if lamps.position is None else {f"position_{lamps.unit}": lamps.position[k]})
         | ({"photographs": list(lamps.photographs[k])} if lamps.photographs else {})
+        | ({} if lamps.moved is None or not lamps.moved[k] else {"moved": True})
         for k, name in enumerate(lamps.names or [str(k) for k in range(len(lamps))])
     ]
     found = [
@@ -267,6 +273,7 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
     if not largest.all():
         k = int(np.argmin(largest))
         raise InputError(f"{path}: lamps[{k}].direction_to_lamp: expected a direction, got 0, 0, 0")
+    moved = np.array([lamp.moved for lamp in found.lamps])
     direction = direction / largest  # whose squares do not overflow
     return Lamps(
         direction / np.linalg.norm(direction, axis=1, keepdims=True),
@@ -280,6 +287,7 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
         names=tuple(lamp.photograph for lamp in found.lamps),
         std_deg=_column(path, found.lamps, "direction_std_deg"),
         photographs=_photographs(found.lamps),
+        moved=moved if moved.any() else None,
     )
 
 

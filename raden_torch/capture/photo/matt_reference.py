@@ -6,55 +6,74 @@ The reference is a sphere (its normals follow from its outline) or a flat card.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from raden_torch.capture.photo.ball import Ball
-from raden_torch.capture.photo.lambert_fit import Method
 from raden_torch.capture.photo.photometric_stereo import solve_normals
+from raden_torch.capture.photo.reference_body import ReferenceBody, fit_body, normals_by_body
 from raden_torch.errors import InputError
 
 RIM = 0.95
 """Of a sphere's radius: beyond it an outline half a pixel off tilts the normals by degrees."""
-_EXPONENTS = (0.4, 2.6)
 _GRAZING = 0.3
 _FEWEST = 100
 _MOST_ROUNDS, _STILL = 200, 1e-5
 _SAMPLE = 2500
-"""Pixels that the response is fitted on; more change its second decimal at most."""
+"""Pixels that the response is fitted on."""
+_ALIKE = 0.1
+"""Lamps that differ by less are taken as equally bright for the response: where lamps moved, the
+sphere tells their brightness no better."""
+_SHADOW = 0.1
+"""As in `solve_normals`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ResponseFit:
     """The response that fits a reference of known shape.
 
     Attributes:
-        exponent: the power that makes the photographs linear.
-        error_deg: the median angle between solved and true normals with it.
-        error_linear_deg: the same with exponent 1.
+        body: with the power that makes the photographs linear, the reference's highlight, and
+            which lamps moved.
+        error_deg: the median angle between true normals and those solved with the body.
+        error_linear_deg: between true normals and those of a matt body and exponent 1.
     """
 
-    exponent: float
+    body: ReferenceBody
     error_deg: float
     error_linear_deg: float
 
+    @property
+    def exponent(self) -> float:
+        return self.body.exponent
+
     def __str__(self) -> str:
+        body = self.body
         return (
-            f"response exponent {self.exponent:.2f}: normals of the reference to "
-            f"{self.error_deg:.2f} deg (median; {self.error_linear_deg:.2f} with 1)"
+            f"response exponent {body.exponent:.2f}, beside a highlight of the reference, "
+            f"{body.height:.2f} of its matt part and {body.width_deg:.0f} deg wide: its normals to "
+            f"{self.error_deg:.2f} deg (median; {self.error_linear_deg:.2f} matt and with 1)"
         )
 
 
 def sphere_normals(ball: Ball, size: tuple[int, int], rim: float = RIM) -> tuple[Tensor, Tensor]:
     """`[1, 3, H, W]` surface normals of a sphere and `[1, 1, H, W]` bool where they hold."""
-    import numpy as np
-
     y, x = np.mgrid[: size[0], : size[1]]
     _, normal, _ = ball.surface(x, y)
     inside = torch.from_numpy(ball.inside(size, rim) & np.isfinite(normal).all(-1))[None, None]
     normals = torch.from_numpy(np.nan_to_num(normal)).float().movedim(-1, 0)[None]
     return normals * inside, inside
+
+
+def sphere_views(ball: Ball, size: tuple[int, int]) -> Tensor:
+    """`[1, 3, H, W]` unit directions from a sphere to the viewer; 0 beside it."""
+    y, x = np.mgrid[: size[0], : size[1]]
+    _, _, view = ball.surface(x, y)
+    return torch.from_numpy(np.nan_to_num(view)).float().movedim(-1, 0)[None]
 
 
 def relative_intensities(
@@ -125,19 +144,25 @@ def fit_response(
     normal: Tensor,
     inside: Tensor,
     *,
-    method: Method = "robust",
-    intensity: Tensor | None = None,
+    view: Tensor | None = None,
     saturated: Tensor | None = None,
 ) -> ResponseFit:
-    """The exponent with which the solved normals are nearest to those known of a reference.
+    """The camera's exponent, found with the reference's own highlight and with lamps that moved.
 
-    How well the photographs agree with each other is no substitute: a wrong exponent bends all of
-    them alike (the shared grey sphere's agree best at 0.8, and its normals are best at 1.1).
+    An exponent alone bends for the highlight, too. How well photographs agree with each other at
+    normals that are not known is no substitute: a wrong exponent bends all of them alike (the
+    shared grey sphere's agree best at 0.8, and its normals are best at 1.1).
 
-    Args: as for `solve_normals`; `normal` and `inside` as `sphere_normals` gives them.
+    Args:
+        images: `[K, C, H, W]` as read.
+        lights: `[K, 3]` directions to the lamps.
+        normal, inside: as `sphere_normals` gives them.
+        view: `[1, 3, H, W]` unit vectors to the camera; far away where None.
+        saturated: `[K, 1, H, W]` bool.
+
+    Raises:
+        InputError: fewer than 100 pixels, or lamps that do not light them (`relative_intensities`).
     """
-    from scipy.optimize import minimize_scalar
-
     rows, columns = inside[0, 0].nonzero(as_tuple=True)
     if len(rows) < _FEWEST:
         raise InputError(f"reference: expected at least {_FEWEST} pixels, got {len(rows)}")
@@ -145,26 +170,63 @@ def fit_response(
     rows, columns = rows[::step], columns[::step]
 
     def picked(m: Tensor) -> Tensor:
-        return m[:, :, rows, columns][:, :, None]
+        return m[:, :, rows, columns]
 
-    truth = picked(normal)[0, :, 0]
-    some = None if saturated is None else picked(saturated)
-    near = lights if lights.ndim == 2 else picked(lights)
-    grey = picked(images).mean(dim=1, keepdim=True)
+    truth = picked(normal)[0]
+    grey = picked(images).mean(dim=1).clamp(min=0)
+    clipped = (torch.zeros_like(grey) if saturated is None else picked(saturated)[:, 0]) > 0
+    away = torch.tensor([[0.0], [0.0], [1.0]]) if view is None else picked(view)[0]
+    sphere = _Seen(grey, clipped, lights, truth, away.expand(3, len(rows)))
+    body = sphere.body(alike=True)
+    bright = relative_intensities(
+        images, lights, normal, inside, saturated=saturated, exponent=body.exponent
+    )
+    if float((bright - 1).abs().max()) > _ALIKE:
+        body = sphere.body(alike=False)
+    return ResponseFit(body, sphere.error_deg(body), sphere.error_deg())
 
-    def error(exponent: float) -> float:
-        found = solve_normals(
-            grey,
-            near,
-            method=method,
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """P pixels of a reference: `[K, P]` grey as read and where clipped, `[K, 3]` lights, `[3, P]`
+    true normals and views."""
+
+    grey: Tensor
+    clipped: Tensor
+    lights: Tensor
+    truth: Tensor
+    view: Tensor
+
+    @property
+    def _geometry(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        lights = (self.lights / self.lights.norm(dim=1, keepdim=True)).double().numpy()
+        return lights[:, :, None], self.view.double().numpy()
+
+    def body(self, *, alike: bool) -> ReferenceBody:
+        lights, view = self._geometry
+        value, truth = self.grey.double().numpy(), self.truth.double().numpy()
+        return fit_body(value, lights, truth, view, ~self.clipped.numpy(), alike=alike)
+
+    def error_deg(self, body: ReferenceBody | None = None) -> float:
+        """Median angle of normals by the body; by "robust", lamps alike and exponent 1 without."""
+        exponent, clipped, intensity = 1.0, self.clipped, torch.ones(len(self.grey))
+        if body is not None:
+            exponent, intensity = body.exponent, torch.from_numpy(body.intensity).float()
+            clipped = clipped | torch.from_numpy(body.moved)[:, None]
+        matt = solve_normals(
+            self.grey[:, None, None],
+            self.lights,
             intensity=intensity,
-            saturated=some,
-            exponent=float(exponent),
-        )
-        return float(angle_deg(found.normal[0, :, 0], truth).median())
-
-    fitted = minimize_scalar(error, bounds=_EXPONENTS, method="bounded", options={"xatol": 0.01})
-    return ResponseFit(float(fitted.x), float(fitted.fun), error(1.0))
+            saturated=clipped[:, None, None],
+            exponent=exponent,
+        ).normal[0, :, 0]
+        if body is None:
+            return float(angle_deg(matt, self.truth).median())
+        lights, view = self._geometry
+        linear = (self.grey**exponent / intensity[:, None]).double().numpy()
+        usable = ~clipped.numpy() & (linear > _SHADOW * np.sort(linear, axis=0)[-3])
+        found = normals_by_body(body, linear, lights, view, matt.double().numpy(), usable)
+        return float(angle_deg(torch.from_numpy(found), self.truth.double()).median())
 
 
 def angle_deg(a: Tensor, b: Tensor) -> Tensor:

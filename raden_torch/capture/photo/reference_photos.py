@@ -17,9 +17,11 @@ from raden_torch.capture.photo.ball import ball_from_mask
 from raden_torch.capture.photo.ball_lens import BallLens
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.capture.photo.matt_reference import (
+    ResponseFit,
     fit_response,
     relative_intensities,
     sphere_normals,
+    sphere_views,
 )
 from raden_torch.capture.photo.photo_set import (
     PhotoSet,
@@ -47,7 +49,8 @@ class Reference:
         pattern: its photographs, as "grey.*.png", one a lamp, numbered in the lamps' order.
         mask: white on it.
         shape: "sphere", or "card", which faces the camera.
-        fit_response: also fit the exponent of the response; on a sphere only.
+        fit_response: also fit the exponent of the response, and find lamps that moved; on a sphere
+            only.
     """
 
     pattern: str
@@ -59,11 +62,12 @@ class Reference:
 @dataclass(frozen=True, eq=False)
 class _Matt:
     """A reference that was read: K photographs, `[1, 3, H, W]` its normals, `[1, 1, H, W]` where it
-    is."""
+    is, `[1, 3, H, W]` directions to a camera that is not far away."""
 
     photos: PhotoSet
     normal: Tensor
     inside: Tensor
+    view: Tensor | None = None
 
     def intensities(self, images: Tensor, lights: Tensor, exponent: float) -> NDArray[Any]:
         """`[K]` of these images of it, relative, under lamps `[K, 3]`."""
@@ -90,16 +94,22 @@ def lamps_by_reference(
         InputError: another number of photographs than of lamps; a response to be fitted on a card.
 
     Warns:
-        UserWarning: a response that is not linear light's.
+        UserWarning: a response that is not linear light's; with `fit_response`, a lamp that moved.
     """
     if reference.fit_response and reference.shape != "sphere":
         raise InputError("the response needs a reference sphere: a card shows one normal only")
     matt = _read(reference, len(lamps), lens, coded, lambda share: done(0.5 * share))
     lights = torch.from_numpy(lamps.direction).float()
-    exponent, notes = 1.0, lamps.notes
+    exponent, moved, notes = 1.0, None, lamps.notes
     if reference.shape == "sphere":
-        exponent, said = _response(matt, lights, is_fitted=reference.fit_response)
-        notes = (*notes, *said)
+        fit = _response(matt, lights)
+        if reference.fit_response:
+            exponent = fit.exponent
+            said = _moved(fit, lamps, matt.photos)
+            moved = fit.body.moved if said else None
+            notes = (*notes, str(fit), *said)
+        else:
+            _warn_of_response(fit, matt.photos)
     done(0.9)
     images = matt.photos.images
     intensity = matt.intensities(images, lights, exponent)
@@ -108,7 +118,9 @@ def lamps_by_reference(
     if bool((colour > _DIM * colour.max()).all()):
         each = [matt.intensities(images[:, c : c + 1], lights, exponent) for c in range(3)]
         tint = np.stack(each, 1) / intensity[:, None]
-    return replace(lamps, intensity=intensity, tint=tint, exponent=exponent, notes=notes)
+    return replace(
+        lamps, intensity=intensity, tint=tint, exponent=exponent, notes=notes, moved=moved
+    )
 
 
 def _read(
@@ -131,21 +143,43 @@ def _read(
         # of any radius: the normals that a pixel sees do not depend on it
         ball = ball_from_mask(lens.straight(mask), matrix=lens.matrix, name=reference.mask)
         normal, inside = sphere_normals(ball, photos.size)
-        return _Matt(photos, normal, inside)
+        view = None if lens.matrix is None else sphere_views(ball, photos.size)
+        return _Matt(photos, normal, inside, view)
     towards_camera = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
     return _Matt(photos, towards_camera, torch.from_numpy(mask > 0.5)[None, None])
 
 
-def _response(matt: _Matt, lights: Tensor, *, is_fitted: bool) -> tuple[float, list[str]]:
-    """The exponent that is taken, and notes; warns of an unlikely one that is not taken."""
+def _response(matt: _Matt, lights: Tensor) -> ResponseFit:
     photos = matt.photos
-    fit = fit_response(photos.images, lights, matt.normal, matt.inside, saturated=photos.saturated)
-    if is_fitted:
-        return fit.exponent, [str(fit)]
+    return fit_response(
+        photos.images,
+        lights,
+        matt.normal,
+        matt.inside,
+        view=matt.view,
+        saturated=photos.saturated,
+    )
+
+
+def _moved(fit: ResponseFit, lamps: Lamps, photos: PhotoSet) -> list[str]:
+    """A line for each lamp that moved, which is warned of, too."""
+    usual = float(np.median(fit.body.residual[~fit.body.moved]))
+    said = [
+        f"{photos.paths[k].name}: it disagrees with the reference's shape "
+        f"{fit.body.residual[k] / usual:.1f} times as much as usual: lamp {k + 1} stood elsewhere "
+        f"than in {lamps.names[k]}; normals leave it out"
+        for k in np.flatnonzero(fit.body.moved)
+    ]
+    for line in said:
+        warnings.warn(line, stacklevel=4)
+    return said
+
+
+def _warn_of_response(fit: ResponseFit, photos: PhotoSet) -> None:
+    """Of an unlikely one, which is not taken."""
     if not _LIKELY[0] < fit.exponent < _LIKELY[1]:
         warnings.warn(
             f"{photos.paths[0]}: with {fit}; this is not linear light: set `coded` to linear or "
             "srgb, whichever was not given, or `fit_response`",
             stacklevel=4,
         )
-    return 1.0, []

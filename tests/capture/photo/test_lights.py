@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
 from raden_torch.capture.photo.capture_lights import capture_lights
+from raden_torch.capture.photo.capture_normals import capture_normals
 from raden_torch.capture.photo.highlight import find_highlight
 from raden_torch.capture.photo.lamps import (
     Lamps,
@@ -195,6 +196,54 @@ def test_linear_files_read_as_srgb_are_noticed_on_a_grey_ball(balls_under_colour
     photographs, grey, _ = balls_under_coloured_lamps
     with pytest.warns(UserWarning, match=r"g0\.png: .* not linear light: set `coded` to linear"):
         capture_lights(photographs, [grey.mask], reference=grey)
+
+
+def test_a_lamp_that_moved_is_named_and_left_out(tmp_path: Path) -> None:
+    """Simulated: lamp 3 stands ten degrees off under the grey ball and the object, not the mirror;
+    the lights file is read by `capture_normals`, which gives its true normals all the same."""
+    turn = np.arange(8) * np.pi / 4
+    to_lamp = np.stack([0.5 * np.cos(turn), 0.5 * np.sin(turn), np.full(8, 0.75**0.5)], 1)
+    elsewhere = to_lamp.copy()
+    elsewhere[2] = [0.05, 0.65, 0.75]
+    elsewhere[2] /= np.linalg.norm(elsewhere[2])
+    ball = ball_from_mask(disc(160, 120, 80))
+    v, u = np.mgrid[: SIZE[0], : SIZE[1]]
+    normal = np.nan_to_num(ball.surface(u, v)[1])
+    chromes, greys = [], []
+    for k in range(8):
+        grey = 0.8 * np.clip(normal @ elsewhere[k], 0, 1)[..., None] * np.ones(3)
+        for name, linear, to in (
+            ("c", chrome(ball, to_lamp[k], near=False), chromes),
+            ("g", grey, greys),
+        ):
+            path = tmp_path / f"{name}{k}.png"
+            stored = np.rint(65535 * np.clip(linear, 0, 1)).astype(np.uint16)
+            cv2.imwrite(str(path), stored[..., ::-1])
+            to.append(path)
+    mask, lights = tmp_path / "mask.png", tmp_path / "lights.json"
+    cv2.imwrite(str(mask), 255 * (disc(160, 120, 80) > 127).astype(np.uint8))
+    reference = Reference(str(tmp_path / "g?.png"), mask, fit_response=True)
+    with pytest.warns(UserWarning, match=r"g2\.png: .* lamp 3 stood elsewhere than in c2\.png"):
+        lamps = capture_lights(chromes, [mask], reference=reference, coded="linear").lamps
+    assert lamps.exponent == pytest.approx(1.0, abs=0.02)
+    assert lamps.moved is not None
+    assert np.flatnonzero(lamps.moved).tolist() == [2]
+    assert any("lamp 3" in note for note in lamps.notes)
+    write_lamps(lamps, lights)
+    again = read_lamps(lights)
+    assert again.moved is not None
+    assert again.moved.tolist() == lamps.moved.tolist()
+    found = capture_normals(greys, lights, mask, coded="linear").surface
+    assert np.isnan(float(found.lamp_residual[2]))
+    inside = ball.inside(SIZE, 0.9)
+    off = np.linalg.norm(found.normal[0].numpy().transpose(1, 2, 0) - normal, axis=-1)
+    assert np.degrees(np.median(off[inside])) < 0.2
+    text = lights.read_text("utf-8")
+    assert text.count('"moved": true') == 1
+    lights.write_text(text.replace('"moved": true', '"moved": false'))
+    with pytest.warns(UserWarning, match="it disagrees with the others"):
+        kept = capture_normals(greys, lights, mask, coded="linear").surface
+    assert np.isfinite(float(kept.lamp_residual[2]))
 
 
 def test_lights_come_back_from_their_file(tmp_path: Path) -> None:

@@ -192,6 +192,9 @@ def test_photographs_stacks_and_lamps_are_told_apart() -> None:
         shots_of(files, short, lamps, {})
 
 
+PARTS = np.stack(np.divmod(np.arange(32.0), 4), axis=1)
+
+
 def test_the_white_s_signal_is_that_for_light_from_straight_above() -> None:
     """A tile leans; its level over cos θi and the near lamp's falloff is the same everywhere."""
     normal = np.array([0.2, 0.1, 0.9]) / np.linalg.norm([0.2, 0.1, 0.9])
@@ -217,8 +220,9 @@ def test_the_white_s_signal_is_that_for_light_from_straight_above() -> None:
 def test_a_shot_without_a_white_takes_its_lamp_s_intensity() -> None:
     power = np.array([1.0, 2.0, 0.5, 1.5])
     lamps = [Lamp(LEAN, None, p * RGB, 0.1, ACROSS) for p in power]
+    flat = np.zeros((32, 3))
     readings: list[WhiteReading | None] = [
-        WhiteReading(0.3 * p * RGB, np.full(3, 0.01), D65_XYZ, np.zeros((8, 3)), np.zeros(2))
+        WhiteReading(0.3 * p * RGB, np.full(3, 0.01), D65_XYZ, flat, PARTS, np.zeros(2))
         for p in power
     ]
     readings[2] = None
@@ -233,18 +237,38 @@ def test_a_shot_without_a_white_takes_its_lamp_s_intensity() -> None:
 
 def test_stains_of_the_white_are_common_and_shadows_are_not() -> None:
     """A pattern in all photographs is one error that all share; what differs between them is each
-    one's own: s / √8 of the eight parts."""
+    one's own: s / √32 of the parts where neighbours are not alike."""
     random = np.random.default_rng(0)
-    stains, own = 0.02 * random.normal(size=(8, 3)), 0.005 * random.normal(size=(6, 8, 3))
+    stains, own = 0.02 * random.normal(size=(32, 3)), 0.005 * random.normal(size=(6, 32, 3))
     readings = [
-        WhiteReading(0.5 * RGB, np.full(3, 0.01), D65_XYZ, stains + part, np.zeros(2))
+        WhiteReading(0.5 * RGB, np.full(3, 0.01), D65_XYZ, stains + part, 2 * PARTS, np.zeros(2))
         for part in own
     ]
     lamps = [Lamp(LEAN, None, RGB, 0.1, ACROSS)] * 6
     scale = scale_of(readings, lamps, list("abcdef"))
-    wanted = np.std(stains + own.mean(axis=0), axis=0, ddof=1) / np.sqrt(8)
+    wanted = np.std(stains + own.mean(axis=0), axis=0, ddof=1) / np.sqrt(32)
     np.testing.assert_allclose(scale.common_std, wanted)
-    assert np.sqrt((scale.std**2).mean()) == pytest.approx(0.005 / np.sqrt(8), rel=0.15)
+    assert np.sqrt((scale.std**2).mean()) == pytest.approx(0.005 / np.sqrt(32), rel=0.15)
+
+
+@pytest.mark.parametrize("patches", [12, 24])
+def test_a_stained_white_s_deviation_is_that_of_its_level(patches: int) -> None:
+    """Rationale: over many stained whites the level scatters about what it is in the mean by the
+    deviation that each states; stains that are as large as its parts are wrong alike in two."""
+    y, x = np.mgrid[21:160, 191:260]
+    place = WhitePlace(x.ravel(), y.ravel(), Plane(np.zeros((1, 3)), np.eye(3)[2]))
+    rays = rays_through(None, place.x_px, place.y_px)
+    lamp = Lamp(np.eye(3)[2], None, RGB, 0.1, ACROSS)
+    ratio = []
+    for seed in range(150):
+        spots = np.random.default_rng(seed).normal(size=(patches, patches))
+        rows, columns = np.mgrid[:180, :260] * patches // np.array([180, 260])[:, None, None]
+        radiance = (0.5 * (1 + 0.1 * spots[rows, columns]))[..., None] * np.ones(3)
+        frame = Frame(radiance.astype(np.float32), np.ones((180, 260), bool), timed=False)
+        read = read_white(frame, place, rays, lamp, np.zeros(3), WhiteFactor(D65_XYZ))
+        assert read is not None
+        ratio.append((read.rgb / 0.5 - 1) / read.std)
+    assert 0.8 < np.sqrt(np.mean(np.square(ratio))) < 1.2
 
 
 def test_a_lamp_that_leans_changes_the_light_on_the_white() -> None:

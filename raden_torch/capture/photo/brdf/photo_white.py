@@ -20,9 +20,12 @@ from raden_torch.errors import InputError
 
 _FACING = 0.25
 """cos θi below which a lamp does not light the white well."""
-_FEWEST_PX = 30
+_FEWEST_PX = 32
 _CLIPPED = 0.1
-_BLOCKS = 8
+_HALVINGS = 5
+"""Of the white into parts, 32 in all."""
+_NEIGHBOURS = 1.5
+"""Parts nearer than so many of their sizes may be wrong alike."""
 _UNEVEN = 0.15
 _DIM = 1e-4
 
@@ -70,7 +73,8 @@ class WhiteReading:
         rgb: `[3]` its signal for θi = 0, at the irradiance of the sample's middle.
         std: `[3]` of `rgb`, relative: from how the signal varies over the white.
         xyz: `[3]` its reflectance factor at this lamp.
-        parts: `[8, 3]` the signal of its parts over `rgb`, less 1.
+        parts: `[32, 3]` the signal of its parts over `rgb`, less 1.
+        place: `[32, 2]` where these are, in sizes of a part.
         lean: `[2]` the share by which its irradiance grows as the lamp leans by a degree along each
             of its two directions.
     """
@@ -79,6 +83,7 @@ class WhiteReading:
     std: Floats
     xyz: Floats
     parts: Floats
+    place: Floats
     lean: Floats
 
     @property
@@ -92,7 +97,9 @@ def read_white(
 ) -> WhiteReading | None:
     """The white in one photograph; None where its lamp does not light it well, or it is clipped.
 
-    A pixel's signal is divided by cos θi (d_middle/d)²; the median over the pixels is taken.
+    A pixel's signal is divided by cos θi (d_middle/d)². The median over the pixels of each part is
+    taken, so that dust does not matter, and the mean over the parts, which stains scatter less than
+    a median over the whole white.
     """
     usable = frame.usable[place.y_px, place.x_px]
     surface = place.plane.seen(rays)
@@ -103,19 +110,48 @@ def read_white(
         return None
     signal = frame.radiance[place.y_px[good], place.x_px[good]].astype(np.float64)
     level = signal / (cosine[good] * falloff[good])[:, None]
-    rgb = np.median(level, axis=0)
+    x, y = place.x_px[good], place.y_px[good]
+    groups = _halved(x, y)
+    blocks = np.array([np.median(level[part], axis=0) for part in groups])
+    rgb = blocks.mean(axis=0)
     if not (rgb > _DIM * max(float(np.median(frame.radiance.max())), 1e-12)).all():
         return None
-    # blocks beside each other: noise averages out in them, shading and stains do not
-    order = np.argsort(place.x_px[good] + 3 * place.y_px[good], kind="stable")
-    blocks = [np.median(level[part], axis=0) for part in np.array_split(order, _BLOCKS)]
-    parts = np.array(blocks) / rgb - 1
-    std = np.std(parts, axis=0, ddof=1) / np.sqrt(_BLOCKS)
+    # noise averages out in the parts, shading and stains do not
+    parts = blocks / rgb - 1
+    size = np.sqrt(len(x) / len(groups))
+    where = np.array([[x[part].mean(), y[part].mean()] for part in groups]) / size
+    std = _std_of_mean(parts, where)
     at = np.median(angles_deg(surface.normal[good], light[good], -rays.direction[good]), axis=0)
     lean = _lean(
         lamp, surface.point[good], place.plane.normal, middle, cosine[good] * falloff[good]
     )
-    return WhiteReading(rgb, std, factor.at(at), parts, lean)
+    return WhiteReading(rgb, std, factor.at(at), parts, where, lean)
+
+
+def _halved(x: NDArray[np.intp], y: NDArray[np.intp]) -> list[NDArray[np.intp]]:
+    """Indices of pixels in 32 compact parts of equally many: each is halved across its length."""
+    groups = [np.arange(len(x))]
+    for _ in range(_HALVINGS):
+        sorted_ = [
+            g[np.argsort((x if np.ptp(x[g]) >= np.ptp(y[g]) else y)[g], kind="stable")]
+            for g in groups
+        ]
+        groups = [half for g in sorted_ for half in np.array_split(g, 2)]
+    return groups
+
+
+def _std_of_mean(parts: Floats, place: Floats) -> Floats:
+    """`[3]` of the mean of parts `[n, 3]`, of which neighbours are wrong alike.
+
+    Products of neighbours' deviations count as those of each part with itself (Conley 1999, with
+    equal weights); the deviations are from the mean, which took its share of them.
+    """
+    off = parts - parts.mean(axis=0)
+    count = len(off)
+    near = np.linalg.norm(place[:, None] - place, axis=-1) <= _NEIGHBOURS
+    together = np.einsum("ij,ic,jc->c", near, off, off) / max(count**2 - near.sum(), 1)
+    alone = (off**2).sum(axis=0) / (count * (count - 1))
+    return np.asarray(np.sqrt(np.maximum(together, alone)))
 
 
 def _lean(lamp: Lamp, point: Floats, normal: Floats, middle: Floats, light: Floats) -> Floats:
@@ -188,7 +224,8 @@ def scale_of(
     lean = np.zeros((len(readings), 2))
     parts = np.array([reading.parts for reading in there])
     common = parts.mean(axis=0)
-    own = np.sqrt(((parts - common) ** 2).sum(axis=1) / (_BLOCKS - 1) / _BLOCKS)
+    place = np.mean([reading.place for reading in there], axis=0)
+    own = np.array([_std_of_mean(each - common, place) for each in parts])
     if len(there) > 1:  # the mean took its share of each shot's own
         own *= np.sqrt(len(there) / (len(there) - 1))
     row = iter(range(len(there)))
@@ -196,7 +233,7 @@ def scale_of(
         if reading is not None:
             rgb[k], std[k] = reading.rgb / reading.xyz * xyz, own[next(row)]
             lean[k] = reading.lean
-    shared = np.std(common, axis=0, ddof=1) / np.sqrt(_BLOCKS)
+    shared = _std_of_mean(common, place)
     notes = []
     without = [name for name, there_ in zip(names, measured, strict=True) if not there_]
     if without:
