@@ -52,7 +52,7 @@ def _read(read: Callable[[str], Any], like: str, **more: Any) -> Parameter:
     """
 
     def read_tokens(_: object, tokens: Sequence[Token]) -> Any:
-        return read(tokens[0].value)
+        return read(tokens[-1].value)  # given again, the last one counts
 
     return Parameter(converter=read_tokens, n_tokens=1, accepts_keys=False, metavar=like, **more)
 

@@ -44,7 +44,8 @@ _CALIBRATED_ON = 40
 _TWICE, _MORE_PX = 2.0, 0.2
 """A camera file's corners lie farther off than this many times, and pixels, those of a camera that
 is calibrated on the pictures themselves: it is another."""
-_MOST_CLIPPED, _DARK = 0.1, 24
+_MOST_CLIPPED, _DARK, _OF_SQUARES = 0.1, 24.0, 0.6
+"""Of the white: share of its pixels; stored value, and that over the white squares'."""
 _FEWEST = 4
 """Photographs; fewer tell of no lamp."""
 _GREY_M = 0.002
@@ -116,11 +117,14 @@ class HandheldSetup:
             )
         if self.lamp_on_camera and self.shadows:
             raise InputError("shadow: expected a lamp that stands still, got one on the camera")
-        if self.photographs < _FEWEST or self.most_blur_px <= 0 or (self.every or 1) < 1:
+        if self.photographs < _FEWEST:
             raise InputError(
-                f"photographs: expected {_FEWEST} or more, a blur above 0 and every frame or "
-                f"fewer, got {self.photographs}, {self.most_blur_px} and {self.every}"
+                f"photographs: expected {_FEWEST} or more to choose, got {self.photographs}"
             )
+        if not self.most_blur_px > 0:
+            raise InputError(f"blur: expected above 0 pixels, got {self.most_blur_px:g}")
+        if self.every is not None and self.every < 1:
+            raise InputError(f"every: expected 1 frame or more, got {self.every}")
 
     @property
     def middle_m(self) -> Floats:
@@ -235,10 +239,10 @@ def capture_handheld(
     chosen = _chosen(looked, poses, setup)
     # the white is looked at in the chosen alone: those that fail make room for others, once
     read = _read(clips, looked, chosen)
-    looked = _white_checked(looked, chosen, poses, camera, setup, read)
+    looked = _white_checked(looked, chosen, poses, seen, camera, setup, read)
     chosen = _chosen(looked, poses, setup)
     read |= _read(clips, looked, [k for k in chosen if k not in read])
-    looked = _white_checked(looked, chosen, poses, camera, setup, read)
+    looked = _white_checked(looked, chosen, poses, seen, camera, setup, read)
     chosen = [k for k in chosen if not looked[k].refused]
     if len(chosen) < _FEWEST:
         raise InputError(_too_few(looked, len(chosen)))
@@ -329,6 +333,7 @@ def _white_checked(
     looked: list[Judged],
     chosen: Sequence[int],
     poses: dict[int, Pose],
+    seen: dict[int, Sights],
     camera: Camera,
     setup: HandheldSetup,
     read: dict[int, Picture],
@@ -345,9 +350,15 @@ def _white_checked(
         clipped = float((white >= CLIPPED).any(axis=1).mean())
         if clipped > _MOST_CLIPPED:
             looked[k] = looked[k].because(f"{100 * clipped:.0f} % of the white is clipped")
-        elif float(np.median(white.max(axis=1))) < _DARK:
-            looked[k] = looked[k].because("the white is dark")
+        elif np.median(white[:, 1]) < max(_DARK, _OF_SQUARES * _median(seen[k].squares)):
+            looked[k] = looked[k].because("the white is dark beside the board's white squares")
     return looked
+
+
+def _median(values: Floats) -> float:
+    """Of those that are known; 0 where none is."""
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else 0.0
 
 
 def _sights(

@@ -107,9 +107,8 @@ def test_the_files_make_a_measurement(
     made = raden(*words[1:], warn="default")
     assert made.returncode == 0, made.stderr
     measured = load_measurement(tmp_path / "shell.csv")
-    angles = np.stack([measured.incidence, measured.receiving, measured.tilt], 1)
-    truth = node_truth(angles) @ [0.2126, 0.7152, 0.0722]
-    value = measured.values @ [0.2126, 0.7152, 0.0722]
+    truth = node_truth(measured.angles_deg) @ [0.2126, 0.7152, 0.0722]
+    value = measured.as_rgb().values @ [0.2126, 0.7152, 0.0722]
     error = abs(value / truth - 1)
     assert len(error) > 200
     assert np.median(error) < 0.02
@@ -157,7 +156,10 @@ def test_the_command_says_what_was_found(footage: Footage, raden: Command, tmp_p
     assert "raden capture brdf" in made.stdout
     assert (tmp_path / "out/handheld.png").stat().st_size > 50_000
     for more, said in (
-        (["--white-region", "0.3,0.3 0.32,0.3 0.32,0.32"], "the white is not whole in it"),
+        (
+            ["--white-region", "0.2,0.05 0.22,0.05 0.22,0.09"],
+            "the white is dark beside the board's",
+        ),
         (["--lamps-stand", "camera", "--shadow", "0,0,30,0.1,0.1"], "expected a lamp that stands"),
         (["--flash", "1,2,3"], "flash: expected a lamp on the camera"),
         (["--grey", "0.1,0.1,0"], "grey patch: reflectance factor: expected above 0"),
@@ -165,7 +167,7 @@ def test_the_command_says_what_was_found(footage: Footage, raden: Command, tmp_p
         (["--squares", "5x7"], "expected pictures that show the board"),
     ):
         refused = raden(*arguments, *more, "-o", tmp_path / "not")
-        assert refused.returncode == 2
+        assert refused.returncode == 2, (more, refused.stdout)
         assert said in refused.stderr
         assert refused.stderr.count("\n") == 1
     assert not (tmp_path / "not").exists()
