@@ -16,7 +16,7 @@ from raden_torch.files import check_outputs
 
 if TYPE_CHECKING:
     from raden_torch.arrays import Floats32
-    from raden_torch.capture.photo.capture_handheld import HandheldSetup
+    from raden_torch.capture.photo.handheld.handheld_setup import HandheldSetup
 
 
 @Parameter(name="*", group=Group("What lies on the board", sort_key=2))
@@ -103,7 +103,7 @@ def handheld(
 def _setup(board: BoardOptions, card: CardOptions, how: HandOptions) -> HandheldSetup:
     import numpy as np
 
-    from raden_torch.capture.photo.capture_handheld import GreyPatch, HandheldSetup
+    from raden_torch.capture.photo.handheld.handheld_setup import GreyPatch, HandheldSetup
     from raden_torch.capture.photo.handheld.lamp_sights import ChromeBall, FlatMirror, Shadow
 
     height = card.mirror_height / 1000

@@ -10,126 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats, Floats32
-from raden_torch.capture.photo.board import Board, BoardView
-from raden_torch.capture.photo.board_pose import board_pose
-from raden_torch.capture.photo.brdf.board_region import board_pixels
 from raden_torch.capture.photo.brdf.rays import Y_UP
-from raden_torch.capture.photo.calibration import calibrate
-from raden_torch.capture.photo.camera import Calibration, Camera, Pose, read_camera
-from raden_torch.capture.photo.handheld.card_checks import (
-    MOST_RMS_PX,
-    bent,
-    heights_m,
-    zoom_of,
-    zoomed,
-)
+from raden_torch.capture.photo.camera import Calibration, Camera, Pose
+from raden_torch.capture.photo.handheld.camera_poses import camera_and_poses, too_few
 from raden_torch.capture.photo.handheld.choosing import spread_out
 from raden_torch.capture.photo.handheld.footage import Clip, Picture, clips_of, pictures
+from raden_torch.capture.photo.handheld.handheld_setup import FEWEST, HandheldSetup
 from raden_torch.capture.photo.handheld.judging import Judged, judged
 from raden_torch.capture.photo.handheld.lamp_fit import FoundLamp, LampSetting, find_lamp
-from raden_torch.capture.photo.handheld.lamp_sights import (
-    CLIPPED,
-    ChromeBall,
-    FlatMirror,
-    Shadow,
-    Sights,
-    sights,
-    white_squares_m,
+from raden_torch.capture.photo.handheld.lamp_sights import Sights, sights, white_squares_m
+from raden_torch.capture.photo.handheld.response_fit import Response
+from raden_torch.capture.photo.handheld.white_and_greys import (
+    exposures_of,
+    response_of,
+    white_checked,
 )
-from raden_torch.capture.photo.handheld.response_fit import Greys, Response, fit_response
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import SRGB_SPACE
-
-_CALIBRATED_ON = 40
-_TWICE, _MORE_PX = 2.0, 0.2
-"""A camera file's corners lie farther off than this many times, and pixels, those of a camera that
-is calibrated on the pictures themselves: it is another."""
-_MOST_CLIPPED, _DARK, _OF_SQUARES = 0.1, 24.0, 0.6
-"""Of the white: share of its pixels; stored value, and that over the white squares'."""
-_FEWEST = 4
-"""Photographs; fewer tell of no lamp."""
-_GREY_M = 0.002
-"""Half of the side of the square that is measured of a grey patch."""
-
-
-@dataclass(frozen=True, eq=False)
-class GreyPatch:
-    """A matt grey patch on the board: its middle, metres, and its reflectance, 0…1."""
-
-    x_m: float
-    y_m: float
-    reflectance: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.reflectance <= 1.2:
-            raise InputError(
-                f"grey patch: reflectance factor: expected above 0 and at most 120, got "
-                f"{100 * self.reflectance:g}"
-            )
-
-
-@dataclass(frozen=True, eq=False)
-class HandheldSetup:
-    """What lies before the phone, and what shows the lamp.
-
-    Attributes:
-        board: as printed.
-        region_m: `[n, 2]` corners of the piece on the board, metres.
-        white_m: `[n, 2]` corners of the white reference, which is matt and alike all over.
-        lamp_on_camera: whether the lamp is fixed to the camera, as a phone's flash; else it stands
-            beside the board, in each clip elsewhere.
-        flash_m: `[3]` of a lamp on the camera, in its frame (x right, y up, z to the viewer),
-            metres; None: found by balls and mirrors.
-        balls, mirrors, shadows: what shows the lamp.
-        greys: what shows the tone curve; none: it is taken for sRGB's, or for what `response` says.
-        response: `[256]` stored value → linear light; None: as above.
-        locked: the exposure was the same in all pictures.
-        camera: a camera file; None: calibrated on the pictures themselves.
-        photographs: to choose, at most.
-        most_blur_px: standard deviation from which a picture counts as blurred.
-        every: frames of a video of which the sharpest is looked at; None: as many as make
-            `judging.LOOKED_AT`.
-    """
-
-    board: Board
-    region_m: Floats
-    white_m: Floats
-    lamp_on_camera: bool = False
-    flash_m: Floats | None = None
-    balls: tuple[ChromeBall, ...] = ()
-    mirrors: tuple[FlatMirror, ...] = ()
-    shadows: tuple[Shadow, ...] = ()
-    greys: tuple[GreyPatch, ...] = ()
-    response: Floats32 | None = None
-    locked: bool = False
-    camera: Path | None = None
-    photographs: int = 60
-    most_blur_px: float = 1.5
-    every: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.flash_m is not None and not self.lamp_on_camera:
-            raise InputError("flash: expected a lamp on the camera, got one beside the board")
-        if not (self.balls or self.mirrors or self.shadows or self.flash_m is not None):
-            raise InputError(
-                "lamp: expected what shows where it is (a chrome ball, a flat mirror or a pin's "
-                "shadow, or the flash's place), got none"
-            )
-        if self.lamp_on_camera and self.shadows:
-            raise InputError("shadow: expected a lamp that stands still, got one on the camera")
-        if self.photographs < _FEWEST:
-            raise InputError(
-                f"photographs: expected {_FEWEST} or more to choose, got {self.photographs}"
-            )
-        if not self.most_blur_px > 0:
-            raise InputError(f"blur: expected above 0 pixels, got {self.most_blur_px:g}")
-        if self.every is not None and self.every < 1:
-            raise InputError(f"every: expected 1 frame or more, got {self.every}")
-
-    @property
-    def middle_m(self) -> Floats:
-        """`[3]` of the piece."""
-        return np.append(self.region_m[:, :2].mean(axis=0), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +127,7 @@ def capture_handheld(
     )
     found_board = next(each.view.board for each in looked if each.view is not None)
     setup = replace(setup, board=found_board)
-    camera, calibration, looked, poses = _camera_and_poses(looked, setup)
+    camera, calibration, looked, poses = camera_and_poses(looked, setup)
     notes = [] if calibration is None else list(calibration.notes)
     done(0.75)
     table = _srgb() if setup.response is None else setup.response
@@ -239,13 +136,13 @@ def capture_handheld(
     chosen = _chosen(looked, poses, setup)
     # the white is looked at in the chosen alone: those that fail make room for others, once
     read = _read(clips, looked, chosen)
-    looked = _white_checked(looked, chosen, poses, seen, camera, setup, read)
+    looked = white_checked(looked, chosen, poses, seen, camera, setup, read)
     chosen = _chosen(looked, poses, setup)
     read |= _read(clips, looked, [k for k in chosen if k not in read])
-    looked = _white_checked(looked, chosen, poses, seen, camera, setup, read)
+    looked = white_checked(looked, chosen, poses, seen, camera, setup, read)
     chosen = [k for k in chosen if not looked[k].refused]
-    if len(chosen) < _FEWEST:
-        raise InputError(_too_few(looked, len(chosen)))
+    if len(chosen) < FEWEST:
+        raise InputError(too_few(looked, len(chosen)))
     done(0.9)
     kept_poses = [poses[k] for k in chosen]
     frames = [read[k] for k in chosen]
@@ -254,7 +151,7 @@ def capture_handheld(
     groups = [lit.index(None if setup.lamp_on_camera else looked[k].clip) for k in chosen]
     response = None
     if setup.greys:
-        response = _response(frames, kept_poses, groups, lamps, camera, setup)
+        response = response_of(frames, kept_poses, groups, lamps, camera, setup)
         table = response.table
         lamps = _lamps(looked, poses, seen, lit, camera, setup, table, clips)
     elif setup.response is None:
@@ -263,47 +160,12 @@ def capture_handheld(
             "patches of known reflectance show it"
         )
     done(0.97)
-    exposures = _exposures(frames, kept_poses, groups, lamps, camera, setup, table)
+    exposures = exposures_of(frames, kept_poses, groups, lamps, camera, setup, table)
     notes += _said(lamps, exposures, setup, clips)
     return Handheld(
         clips, looked, chosen, kept_poses, camera, calibration, lamps, groups, response, exposures,
         setup, tuple(notes),
     )  # fmt: skip
-
-
-def _camera_and_poses(
-    looked: list[Judged], setup: HandheldSetup
-) -> tuple[Camera, Calibration | None, list[Judged], dict[int, Pose]]:
-    """The camera; the pictures again, some of them refused; and the poses of the others."""
-    sharp = [k for k, each in enumerate(looked) if each.view is not None and not each.refused]
-    if len(sharp) < _FEWEST:
-        raise InputError(_too_few(looked, len(sharp)))
-    best = sorted(sharp, key=lambda k: -len(_view(looked[k]).ids))
-    some = [_view(looked[k]) for k in best[:: max(1, len(best) // _CALIBRATED_ON)]]
-    calibration = calibrate(some[:_CALIBRATED_ON])
-    camera = calibration.camera if setup.camera is None else read_camera(setup.camera)
-    poses = {k: board_pose(_view(looked[k]), camera) for k in sharp}
-    rms = float(np.median([pose.rms_px for pose in poses.values()]))
-    own = float(np.median([pose.rms_px for pose in calibration.poses]))
-    if rms > max(_TWICE * own, own + _MORE_PX):
-        raise InputError(
-            f"{setup.camera}: expected the camera that took these pictures, got one by which the "
-            f"board's corners lie {rms:.1f} px off ({own:.1f} px by the pictures themselves): "
-            "another lens, zoom or focus; leave it out"
-        )
-    views = [_view(looked[k]) for k in sharp]
-    wrong = bent(heights_m(views, camera, list(poses.values())), setup.board.square_m)
-    if wrong is not None:
-        raise InputError(wrong)
-    looked = list(looked)
-    for k, pose in list(poses.items()):
-        why = zoomed(*zoom_of(_view(looked[k]), camera, pose))
-        if pose.rms_px > max(MOST_RMS_PX, 4 * rms):
-            why = why or f"its corners lie {pose.rms_px:.1f} px off the board's pose"
-        if why is not None:
-            looked[k] = looked[k].because(why)
-            del poses[k]
-    return camera, None if setup.camera else calibration, looked, poses
 
 
 def _chosen(looked: Sequence[Judged], poses: dict[int, Pose], setup: HandheldSetup) -> list[int]:
@@ -327,38 +189,6 @@ def _pictures(
         numbers = {number for c, number in by_place if c == place}
         for picture in pictures(clip, place, numbers) if numbers else ():
             yield by_place[place, picture.number], picture
-
-
-def _white_checked(
-    looked: list[Judged],
-    chosen: Sequence[int],
-    poses: dict[int, Pose],
-    seen: dict[int, Sights],
-    camera: Camera,
-    setup: HandheldSetup,
-    read: dict[int, Picture],
-) -> list[Judged]:
-    """The same, those of which the white does not tell the exposure refused."""
-    looked = list(looked)
-    for k in chosen:
-        region = board_pixels(setup.white_m, camera, poses[k], camera.size, looked[k].name)
-        edge = np.concatenate([region[0], region[-1], region[:, 0], region[:, -1]])
-        if region.sum() < 100 or edge.any():
-            looked[k] = looked[k].because("the white is not whole in it")
-            continue
-        white = read[k].pixels[region]
-        clipped = float((white >= CLIPPED).any(axis=1).mean())
-        if clipped > _MOST_CLIPPED:
-            looked[k] = looked[k].because(f"{100 * clipped:.0f} % of the white is clipped")
-        elif np.median(white[:, 1]) < max(_DARK, _OF_SQUARES * _median(seen[k].squares)):
-            looked[k] = looked[k].because("the white is dark beside the board's white squares")
-    return looked
-
-
-def _median(values: Floats) -> float:
-    """Of those that are known; 0 where none is."""
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else 0.0
 
 
 def _sights(
@@ -434,81 +264,8 @@ def _covered(setup: HandheldSetup) -> NDArray[np.bool_]:
     return covered
 
 
-def _response(
-    frames: Sequence[Picture],
-    poses: Sequence[Pose],
-    groups: Sequence[int],
-    lamps: Sequence[FoundLamp],
-    camera: Camera,
-    setup: HandheldSetup,
-) -> Response:
-    seen = []
-    half = _GREY_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    for picture, pose, group in zip(frames, poses, groups, strict=True):
-        stored, light = [], []
-        lamp = _on_board(lamps[group].at_m, pose, setup)
-        for grey in setup.greys:
-            at = np.array([grey.x_m, grey.y_m])
-            region = board_pixels(at + half, camera, pose, camera.size, picture.name)
-            values = picture.pixels[region].astype(np.float64)
-            usable = len(values) >= 4 and not (values >= CLIPPED).any()
-            stored.append(np.median(values, axis=0) if usable else np.full(3, np.nan))
-            light.append(np.log(grey.reflectance * _irradiance(lamp, np.append(at, 0.0))))
-        seen.append(Greys(np.array(stored), np.array(light)))
-    return fit_response(seen, locked=setup.locked)
-
-
-def _exposures(
-    frames: Sequence[Picture],
-    poses: Sequence[Pose],
-    groups: Sequence[int],
-    lamps: Sequence[FoundLamp],
-    camera: Camera,
-    setup: HandheldSetup,
-    table: Floats32,
-) -> Floats:
-    middle = np.append(setup.white_m.mean(axis=0), 0.0)
-    found = []
-    for picture, pose, group in zip(frames, poses, groups, strict=True):
-        region = board_pixels(setup.white_m, camera, pose, camera.size, picture.name)
-        light = np.median(table[picture.pixels[region]], axis=0)
-        found.append(light / _irradiance(_on_board(lamps[group].at_m, pose, setup), middle))
-    values = np.array(found)
-    return np.asarray(values / np.median(values, axis=0))
-
-
-def _on_board(at_m: Floats, pose: Pose, setup: HandheldSetup) -> Floats:
-    return pose.rotation.T @ (at_m - pose.translation_m) if setup.lamp_on_camera else at_m
-
-
-def _irradiance(lamp_m: Floats, at_m: Floats) -> float:
-    """cos θ / d² on the board."""
-    to = lamp_m - at_m
-    square = float(to @ to)
-    return max(-float(to[2]) / np.sqrt(square), 1e-6) / square
-
-
 def _srgb() -> Floats32:
     return SRGB_SPACE.table(255)[:, 0]
-
-
-def _view(each: Judged) -> BoardView:
-    assert each.view is not None
-    return each.view
-
-
-def _too_few(looked: Sequence[Judged], count: int) -> str:
-    reasons: dict[str, int] = {}
-    for each in looked:
-        if each.refused:
-            key = each.refused.split(":")[0].split(" by ")[0]
-            reasons[key] = reasons.get(key, 0) + 1
-    most = sorted(reasons.items(), key=lambda item: -item[1])[:3]
-    said = "; ".join(f"{number} of {len(looked)}: {reason}" for reason, number in most)
-    return (
-        f"{looked[0].name} …: expected {_FEWEST} pictures or more that are sharp and show board "
-        f"and white, got {count}" + (f" ({said})" if said else "")
-    )
 
 
 def _said(

@@ -27,6 +27,7 @@ from raden_torch.capture.photo.handheld.lamp_sights import (
     Sights,
     white_squares_m,
 )
+from raden_torch.capture.photo.handheld.mirror_geometry import mirror_points, nearest_point, unit
 from raden_torch.errors import InputError
 
 _IMAGE_PX, _SHADOW_M, _SAID_M, _LEVEL = 0.3, 5e-4, 3e-3, 0.03
@@ -163,7 +164,7 @@ class _Fit:
         if self.setting.said_m is not None:
             return [np.r_[self.setting.said_m, rest]]
         point, way = self._rays()
-        meeting = _nearest_point(point, way)
+        meeting = nearest_point(point, way)
         if self.setting.moves:
             return [np.r_[meeting, rest]]
         middle, towards = np.median(point, axis=0), np.median(way, axis=0)
@@ -179,7 +180,7 @@ class _Fit:
             near = ((centre - self.eye[rows]) * way).sum(1, keepdims=True)
             miss = self.eye[rows] + near * way - centre
             depth = np.sqrt(np.maximum(ball.radius_m**2 - (miss**2).sum(1, keepdims=True), 0))
-            normal = _unit(miss - depth * way)
+            normal = unit(miss - depth * way)
             points.append((rows, centre + ball.radius_m * normal))
             ways.append(way - 2 * (way * normal).sum(1, keepdims=True) * normal)
         for m, mirror in enumerate(self.setting.mirrors):
@@ -199,7 +200,7 @@ class _Fit:
         for pin in self.setting.shadows:
             tip = np.array([pin.tip_x_m, pin.tip_y_m, 0.0])
             points.append((np.zeros(1, int), tip[None]))
-            ways.append(_unit(np.array([[pin.x_m, pin.y_m, -pin.height_m]]) - tip))
+            ways.append(unit(np.array([[pin.x_m, pin.y_m, -pin.height_m]]) - tip))
         return np.concatenate([p for _, p in points]), np.concatenate(ways)
 
     def _sight_lines(self, pixels: Floats) -> tuple[NDArray[np.intp], Floats]:
@@ -208,7 +209,7 @@ class _Fit:
         rows = np.flatnonzero(np.isfinite(pixels[:, 0]))
         straight = undistorted(self.setting.camera, pixels[rows])
         way = np.c_[straight, np.ones(len(rows))]
-        return rows, _unit(np.einsum("kji,kj->ki", self.turn[rows], way))
+        return rows, unit(np.einsum("kji,kj->ki", self.turn[rows], way))
 
     def lamps_m(self, at: Floats) -> Floats:
         """`[K, 3]` the lamp of each picture in the board's frame."""
@@ -361,38 +362,3 @@ class _Fit:
         across = np.eye(3) - np.outer(way, way)
         variance = float(np.trace(across @ covariance @ across)) / 2
         return float(np.degrees(np.sqrt(variance) / distance))
-
-
-def mirror_points(centre: Floats, radius: float, eye: Floats, lamp: Floats) -> Floats:
-    """`[K, 3]` where a mirror ball shows the lamp to the eye: there the normal halves the angle
-    between the ways to both. `eye` and `lamp` `[K, 3]` lie outside of the ball.
-
-    Newton would need derivatives; this fixed point gains a digit or more a round, since the ball is
-    small beside the distances.
-    """
-    normal = _unit(_unit(eye - centre) + _unit(lamp - centre))
-    for _ in range(30):
-        point = centre + radius * normal
-        new = _unit(_unit(eye - point) + _unit(lamp - point))
-        if float(np.abs(new - normal).max()) < 1e-12:
-            break
-        normal = new
-    return np.asarray(centre + radius * normal)
-
-
-def _nearest_point(point: Floats, way: Floats) -> Floats:
-    """The point `[3]` nearest to rays `[R, 3]`, by the sum of distances: Weiszfeld's weights."""
-    across = np.eye(3) - way[:, :, None] * way[:, None, :]
-    weight = np.ones(len(point))
-    nearest = np.zeros(3)
-    for _ in range(20):
-        left = (across * weight[:, None, None]).sum(axis=0)
-        right = np.einsum("r,rij,rj->i", weight, across, point)
-        nearest = np.linalg.lstsq(left, right, rcond=None)[0]
-        miss = np.linalg.norm(np.einsum("rij,rj->ri", across, nearest - point), axis=1)
-        weight = 1 / np.maximum(miss, 1e-3)
-    return np.asarray(nearest)
-
-
-def _unit(v: Floats) -> Floats:
-    return np.asarray(v / np.linalg.norm(v, axis=-1, keepdims=True))

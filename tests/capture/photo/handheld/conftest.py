@@ -11,7 +11,7 @@ import pytest
 
 from raden_torch.capture.photo.board import Board, BoardView
 from raden_torch.capture.photo.camera import Camera, Pose
-from raden_torch.capture.photo.capture_handheld import GreyPatch, HandheldSetup
+from raden_torch.capture.photo.handheld.handheld_setup import GreyPatch, HandheldSetup
 from raden_torch.capture.photo.handheld.lamp_sights import ChromeBall
 from tests.capture.photo.handheld.simulated_scene import (
     GREYS,

@@ -163,7 +163,7 @@ def test_the_command_says_what_was_found(footage: Footage, raden: Command, tmp_p
         (["--lamps-stand", "camera", "--shadow", "0,0,30,0.1,0.1"], "expected a lamp that stands"),
         (["--flash", "1,2,3"], "flash: expected a lamp on the camera"),
         (["--grey", "0.1,0.1,0"], "grey patch: reflectance factor: expected above 0"),
-        (["--blur", "0"], "a blur above 0"),
+        (["--blur", "0"], "--blur: expected above 0 pixels"),
         (["--squares", "5x7"], "expected pictures that show the board"),
     ):
         refused = raden(*arguments, *more, "-o", tmp_path / "not")

@@ -20,7 +20,7 @@ from raden_torch.capture.photo.handheld.choosing import spread_out
 from raden_torch.capture.photo.handheld.edge_blur import edge_blur
 from raden_torch.capture.photo.handheld.footage import clips_of, pictures
 from raden_torch.capture.photo.handheld.judging import judged
-from raden_torch.capture.photo.handheld.lamp_fit import LampSetting, find_lamp, mirror_points
+from raden_torch.capture.photo.handheld.lamp_fit import LampSetting, find_lamp
 from raden_torch.capture.photo.handheld.lamp_sights import (
     ChromeBall,
     FlatMirror,
@@ -28,6 +28,7 @@ from raden_torch.capture.photo.handheld.lamp_sights import (
     Sights,
     white_squares_m,
 )
+from raden_torch.capture.photo.handheld.mirror_geometry import mirror_points
 from raden_torch.capture.photo.handheld.response_fit import (
     Greys,
     fit_response,
