@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -67,7 +68,7 @@ def expanded(words: list[str], folder: Path) -> list[str]:
 
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_every_example_can_be_read(example: str, tmp_path: Path) -> None:
-    words = example.split()
+    words = shlex.split(example)
     assert words[0] == "raden"
     command, given, _ = app.parse_args(words[1:])
     assert callable(command)
@@ -78,7 +79,7 @@ def test_every_example_can_be_read(example: str, tmp_path: Path) -> None:
 def test_the_examples_of_help_run(raden: Command, folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
     mirror = [(angle, angle, 0.0) for angle in range(0, 71, 5)]  # what `analyse` looks at
-    ran = [e.split()[1:] for e in EXAMPLES if e.split()[1] not in NOT_RUN]
+    ran = [shlex.split(e)[1:] for e in EXAMPLES if e.split()[1] not in NOT_RUN]
     for words in ran:
         if "gold.binary" in words:
             shutil.copy(tmp_path / "shell.binary", tmp_path / "gold.binary")
