@@ -27,7 +27,7 @@ class InlayOptions:
     """model (.safetensors) of a shell in it; once for each shell; without one the shells are learnt
     from the photographs"""
     shells: int | None = None
-    """how many shells there are, to be learnt from 6 photographs or more; with --map, as many as
+    """how many shells there are, to be learnt from 5 photographs or more; with --map, as many as
     it tells apart"""
     white: float | None = None
     """linear value, 0…1, of a white diffuser that faces the lamp in the photographs: the scale of

@@ -23,7 +23,7 @@ from raden_torch.stereo.learn_shell import MOST_PIXELS, LearntShell, learn_shell
 from raden_torch.stereo.observed_light import thinned
 from raden_torch.stereo.photographed import Photographed
 
-MIN_LAMPS, MIN_PIXELS = 6, 60
+MIN_LAMPS, MIN_PIXELS = 5, 60
 INSTRUMENT = "learnt from photographs of an inlay, not measured by an instrument"
 _LEAST_SPREAD_DEG = 2.0
 _ALBEDO, _ALBEDO_TO_DEG = 0.4, 45.0

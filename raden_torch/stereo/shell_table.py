@@ -27,20 +27,21 @@ from raden_torch.geometry import angles_from_unit_vectors
 from raden_torch.stereo.observed_light import ObservedLight
 
 _NODES_DEG = (
-    np.array([0, 5, 10, 15, 20, 25, 30, 35, 45.0]),
     np.array([0, 3, 6, 9, 12, 15, 18, 21, 24, 28, 32, 36, 42, 50.0]),
+    np.array([0, 5, 10, 15, 20, 25, 30, 35, 45.0]),
     np.array([0, 2.5, 5, 7.5, 10, 12.5, 15, 18, 22, 30.0]),
 )
-"""Of α, |s| and |t|."""
-SHAPE = (9, 14, 10)
-COUNT = 9 * 14 * 10
+"""Of |s|, α and |t|; the longest axis first, for the band of the normal equations."""
+SHAPE = (14, 9, 10)
+COUNT = 14 * 9 * 10
+_BAND = 2 * 9 * 10
 _FLOOR = 0.01
 """In 1/sr, where the shell's mean is `MEAN`."""
 MEAN = 0.12
 """f_r of the readings on average: what a table is learnt in, its albedo then below 1."""
-_CURVE = (0.003, 0.03, 0.03)
+_CURVE = (0.03, 0.003, 0.03)
 """Standard deviation of the second derivatives of log f that are expected, per degree squared."""
-_SLOPE = (0.03, 0.15, 0.15)
+_SLOPE = (0.15, 0.03, 0.15)
 """The same of the first, per degree."""
 _CAUCHY = 2.4
 _LAYOUT = RuntimeLayout((24, 57, 57), (0.4, 0.4))
@@ -81,7 +82,7 @@ class ShellTable:
 def body(width_deg: float, height: float, tilt_deg: float) -> ShellTable:
     """A matt grey body and a pair of highlights of so many times its f_r, at s = 0 and t = ± tilt:
     the planes of a shell stand at an angle to its surface."""
-    _, s, t = np.meshgrid(*_NODES_DEG, indexing="ij")
+    s, _, t = np.meshgrid(*_NODES_DEG, indexing="ij")
     across = sum(np.exp(-(((t - c) / width_deg) ** 2) / 2) for c in (tilt_deg, -tilt_deg))
     pair = 1.0 if tilt_deg > 0 else 0.5
     f = (1 + height * pair * np.exp(-((s / width_deg) ** 2) / 2) * across) / math.pi
@@ -110,7 +111,7 @@ def fitted(
         scale: of the photographs, over f_r times the irradiance.
         start: where it begins; it is flat where None.
     """
-    from scipy.linalg import solve
+    from scipy.linalg import solveh_banded
 
     facing = light.strength[:, 0] * (light.light * _surface(light)).sum(1)
     facing = facing.expand(-1, light.pixels)[:, None].clamp(min=0)
@@ -134,9 +135,17 @@ def fitted(
             trust = (weight * lifted) ** 2 / (1 + (off / _CAUCHY) ** 2)
             wanted = at + np.clip((value + _FLOOR - lifted) / lifted, -1, 1)
             matrix = (shares.T @ shares.multiply(trust[:, None])).toarray() + prior
-            found = solve(matrix, shares.T @ (trust * wanted), assume_a="pos")
+            found = solveh_banded(_banded(matrix), shares.T @ (trust * wanted))
         logs.append(found)
     return ShellTable(np.stack(logs * (3 // len(logs)), 1))
+
+
+def _banded(matrix: Floats) -> Floats:
+    """The upper diagonals as `solveh_banded` takes them."""
+    found = np.zeros((_BAND + 1, COUNT))
+    for k in range(_BAND + 1):
+        found[_BAND - k, k:] = np.diagonal(matrix, k)
+    return found
 
 
 _GRAZING = 0.05
@@ -164,7 +173,7 @@ def _shares(angles: Tensor) -> Any:
     from scipy.sparse import csr_matrix
 
     a, r, t = np.rad2deg(angles.numpy())
-    places = (abs(a + r) / 2, abs(a - r) / 2, abs(t))
+    places = (abs(a - r) / 2, abs(a + r) / 2, abs(t))
     low, part = [], []
     for place, nodes in zip(places, _NODES_DEG, strict=True):
         below = np.clip(np.searchsorted(nodes, place, side="right") - 1, 0, len(nodes) - 2)
@@ -200,7 +209,7 @@ def _smoothness() -> Floats:
     whole = np.zeros((COUNT, COUNT))
     for axis, nodes in enumerate(_NODES_DEG):
         for difference, size in ((_second, _CURVE), (_first, _SLOPE)):
-            matrix = difference(nodes, mirrored=axis > 0) / size[axis]
+            matrix = difference(nodes, mirrored=axis != 1) / size[axis]
             each = [np.eye(len(n)) for n in _NODES_DEG]
             each[axis] = matrix.T @ matrix
             whole += np.kron(np.kron(each[0], each[1]), each[2])
