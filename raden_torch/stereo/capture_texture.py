@@ -28,9 +28,12 @@ from raden_torch.stereo.observed_light import ObservedLight, thinned
 from raden_torch.stereo.photographed import Photographed
 from raden_torch.stereo.pieces import pieces_of, shells_of
 from raden_torch.stereo.solve import SAMPLE, ModelNormals
+from raden_torch.stereo.split_pieces import split_pieces
 
 _UNEVEN_DEG = 2.0
 """Layers that vary by more within a piece are seen as such."""
+_MOVED = 0.02
+"""Where a larger share of the pixels turns out to be another shell, all are learnt once more."""
 
 
 @dataclass(frozen=True)
@@ -146,24 +149,29 @@ def capture_texture(
     surface = _surface(given, options.normals)
     correction = None if options.colour is None else read_colour(options.colour)
     seen = Photographed.of(given, correction)
-    learnt, shells = None, given_shells
-    names = [path.stem for path in options.models]
+    learnt, shells, names = None, given_shells, [path.stem for path in options.models]
+    before = 0.1
     if not options.models:
-        names = [f"shell{k + 1}" for k in range(count)]
-        learnt = learn_palette(
-            seen,
-            pieces,
-            by_colour,
-            surface,
-            names,
-            [path.name for path in photographs],
-            white=options.white,
-            progress=lambda share: done(0.1 + 0.6 * share),
-        )
+        names, before = [f"shell{k + 1}" for k in range(count)], 0.7
+        stems = [path.name for path in photographs]
+
+        def learn(share: Callable[[float], None]) -> LearntPalette:
+            told = (seen, pieces, by_colour, surface, names, stems)
+            return learn_palette(*told, white=options.white, progress=share)
+
+        learnt = learn(lambda share: done(0.1 + 0.6 * share))
         shells = list(learnt.models)
+    if options.map is None and count > 1:
+        old = by_colour[pieces - 1] * (pieces > 0)
+        pieces, by_colour = split_pieces(
+            seen, shells, pieces, surface, options.smallest_px, lambda share: None
+        )
+        moved = (old != by_colour[pieces - 1] * (pieces > 0)).sum() / (pieces > 0).sum()
+        if learnt is not None and moved > _MOVED:  # what they were learnt from was mixed
+            learnt = learn(lambda share: None)
+            shells = list(learnt.models)
     names = ["ground", *names]
     palette = Palette([ground, *shells], names if len(set(names)) == len(names) else ())
-    before = 0.1 if learnt is None else 0.7
     inlay = find_inlay(
         seen,
         shells,

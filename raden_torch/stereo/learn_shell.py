@@ -38,8 +38,10 @@ _RACE, _GO_ON = 3, 2
 _FEW, MOST_PIXELS = 400, 1200
 """Pixels of a shell; the second number in the last turns."""
 _LAST = 2
-_SCALE_WIDTH, _START_WIDTH = 0.05, 0.3
+_SCALE_WIDTH, _START_WIDTH = 0.1, 0.3
 """Standard deviations of the logarithm of a pixel's brightness over the table's."""
+_ODD = 3.0
+"""A pixel whose cost is so many times the median counts half."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,30 +89,27 @@ def learn_shell(light: ObservedLight, done: Callable[[float], None]) -> LearntSh
     scale /= MEAN
     turns = len(_BODIES) * _RACE + _GO_ON * (len(_NOISE) - _RACE)
     made = 0
-    race: list[tuple[float, int, ShellTable, Tensor]] = []
+    race: list[tuple[float, int, ShellTable, ModelNormals]] = []
 
-    def turn(on: ObservedLight, k: int, normal: Tensor, start: ShellTable | None) -> _Turn:
+    def turn(on: ObservedLight, k: int, found: ModelNormals, start: ShellTable | None) -> _Turn:
         nonlocal made
         made += 1
         done(made / turns)
-        return _turn(replace(on, relative=_NOISE[k]), normal, scale, start)
+        return _turn(replace(on, relative=_NOISE[k]), found, scale, start)
 
     for place, each in enumerate(_BODIES):
-        table, normal = None, _first(body(*each), few)
+        table, found = None, _first(body(*each), few)
         for k in range(_RACE):
-            table, found = turn(few, k, normal, table)
-            normal = found.normal
+            table, found = turn(few, k, found, table)
         assert table is not None
-        race.append((_cost(table, few, found), place, table, normal))
+        race.append((_cost(table, few, found), place, table, found))
     best: tuple[float, ShellTable, ModelNormals] | None = None
-    for _, _, start, normal in sorted(race, key=lambda each: each[:2])[:_GO_ON]:
+    for _, _, start, found in sorted(race, key=lambda each: each[:2])[:_GO_ON]:
         table, on = start, few
         for k in range(_RACE, len(_NOISE)):
             if k == len(_NOISE) - _LAST:
-                on = many
-                normal = _solved(table, many, scale).normal
-            table, found = turn(on, k, normal, table)
-            normal = found.normal
+                on, found = many, _solved(table, many, scale)
+            table, found = turn(on, k, found, table)
         cost = _cost(table, many, found)
         if best is None or cost < best[0]:
             best = cost, table, found
@@ -131,8 +130,18 @@ def learn_shell(light: ObservedLight, done: Callable[[float], None]) -> LearntSh
 _Turn = tuple[ShellTable, ModelNormals]
 
 
-def _turn(light: ObservedLight, normal: Tensor, scale: float, start: ShellTable | None) -> _Turn:
-    table = fitted(light, normal, scale, start=start, rounds=4 if start is None else 2)
+def _turn(
+    light: ObservedLight, found: ModelNormals, scale: float, start: ShellTable | None
+) -> _Turn:
+    """A table at these normals, and the normals by it. What a pixel shows of the ground or of
+    another shell makes it darker or not to be explained: then it counts little."""
+    if start is None:  # a grey body's gains and costs tell nothing yet
+        gain, trust = torch.full_like(found.gain, scale), torch.ones_like(found.gain)
+    else:
+        gain = found.gain * (scale / float(found.gain.median()))
+        usual = float(found.cost.median())
+        trust = 1 / (1 + (found.cost / max(_ODD * usual, 1e-12)) ** 2)
+    table = fitted(light, found.normal, gain, trust, start=start, rounds=4 if start is None else 2)
     return table, _solved(table, light, scale)
 
 
@@ -141,13 +150,13 @@ def _solved(table: ShellTable, light: ObservedLight, scale: float) -> ModelNorma
     return solve_by_model([table.material], light, known=known)
 
 
-def _first(table: ShellTable, light: ObservedLight) -> Tensor:
+def _first(table: ShellTable, light: ObservedLight) -> ModelNormals:
     """Normals by a grey body, of the photographs' brightness alone."""
     grey = replace(light, value=light.value.mean(1, keepdim=True), relative=_NOISE[0])
     material = table.material
     flat = shown(material, _up(light)[0].expand(3, light.pixels), grey)
     scale = math.log(max(float(grey.value.mean() / flat.mean()), 1e-12))
-    return solve_by_model([material], grey, known=Known((scale, _START_WIDTH), 1.0)).normal
+    return solve_by_model([material], grey, known=Known((scale, _START_WIDTH), 1.0))
 
 
 def _cost(table: ShellTable, light: ObservedLight, found: ModelNormals) -> float:

@@ -98,7 +98,8 @@ def readings_deg(light: ObservedLight, normal: Tensor) -> Floats:
 def fitted(
     light: ObservedLight,
     normal: Tensor,
-    scale: float,
+    scale: Tensor,
+    trust: Tensor,
     *,
     start: ShellTable | None = None,
     rounds: int = 4,
@@ -108,14 +109,17 @@ def fitted(
     Robust least squares on log f by Gauss–Newton, with smoothness.
 
     Args:
-        scale: of the photographs, over f_r times the irradiance.
+        scale: `[P]`, of the photographs, over f_r times the irradiance.
+        trust: `[P]`, how much each pixel counts.
         start: where it begins; it is flat where None.
     """
     from scipy.linalg import solveh_banded
 
     facing = light.strength[:, 0] * (light.light * _surface(light)).sum(1)
     facing = facing.expand(-1, light.pixels)[:, None].clamp(min=0)
-    sure = (light.weight * facing * scale).movedim(1, -1).flatten(0, 1).double().numpy()
+    sure = (
+        (light.weight * facing * scale * trust.sqrt()).movedim(1, -1).flatten(0, 1).double().numpy()
+    )
     shown = light.value / (facing * scale).clamp(min=1e-9)
     f = shown.movedim(1, -1).flatten(0, 1).double().numpy()
     used = ((facing > _GRAZING) & (light.usable > 0))[:, 0].flatten().numpy()
@@ -132,10 +136,10 @@ def fitted(
             at = shares @ found
             lifted = np.exp(at)
             off = (lifted - _FLOOR - value) * weight
-            trust = (weight * lifted) ** 2 / (1 + (off / _CAUCHY) ** 2)
+            counts = (weight * lifted) ** 2 / (1 + (off / _CAUCHY) ** 2)
             wanted = at + np.clip((value + _FLOOR - lifted) / lifted, -1, 1)
-            matrix = (shares.T @ shares.multiply(trust[:, None])).toarray() + prior
-            found = solveh_banded(_banded(matrix), shares.T @ (trust * wanted))
+            matrix = (shares.T @ shares.multiply(counts[:, None])).toarray() + prior
+            found = solveh_banded(_banded(matrix), shares.T @ (counts * wanted))
         logs.append(found)
     return ShellTable(np.stack(logs * (3 // len(logs)), 1))
 
