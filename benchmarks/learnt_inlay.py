@@ -99,7 +99,7 @@ def main() -> None:
         given = () if options.learnt_only else fitted(Path(made))
         for count in options.lamps:
             for models in ((), given) if given else ((),):
-                for by_map, pixel in ((True, True), (False, True), (True, False), (False, False)):
+                for by_map, pixel in ((True, True), (False, True), (True, False)):
                     rows.append(case(Path(made), maps, count, models, by_map, pixel))
     options.output.write_text(json.dumps(rows, indent=1) + "\n")
 

@@ -123,7 +123,7 @@ def learn_shell(light: ObservedLight, done: Callable[[float], None]) -> LearntSh
         math.sqrt(2 * cost),
         _spread_deg(found.normal),
         float(nodes_read_beside(GRID, angles).mean()),
-        tuple((float(low), float(high)) for low, high in _ends(angles)),
+        tuple((round(float(low), 1), round(float(high), 1)) for low, high in _ends(angles)),
     )
 
 

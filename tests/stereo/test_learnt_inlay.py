@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 
 import raden_torch as rt
 from raden_torch.brdf.files.gbuffer_file import read_gbuffer
+from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.model.model import Provenance
+from raden_torch.errors import InputError
 from raden_torch.stereo import learn_shell
 from raden_torch.stereo.learnt_palette import INSTRUMENT, learn_palette
 from raden_torch.stereo.shell_table import body
@@ -61,6 +63,11 @@ def wavy(tmp_path_factory: pytest.TempPathFactory) -> Wavy:
     return Wavy(tmp_path_factory.mktemp("wavy"), gap=2, lean=0.12)
 
 
+def shaded(palette: Palette, gbuffer: rt.GBuffer, lamp: rt.DirectionalLight) -> Array:
+    with torch.no_grad():
+        return rt.shade(palette, gbuffer, lamp)[0].movedim(0, -1).numpy()
+
+
 @pytest.mark.slow
 def test_learnt_and_relit_under_a_lamp_that_was_held_out(raden, wavy: Wavy, tmp_path: Path) -> None:
     white = f"{EXPOSURE / np.pi:.5f}"
@@ -73,11 +80,11 @@ def test_learnt_and_relit_under_a_lamp_that_was_held_out(raden, wavy: Wavy, tmp_
     assert all(isinstance(model, rt.RadenBrdf) for model in list(palette)[1:])
     lamp = rt.DirectionalLight(tuple(wavy.lamp_out), irradiance=(1.0, 1.0, 1.0))
     gbuffer = read_gbuffer(out / "inlay.exr", palette=palette)
-    image = rt.shade(palette, gbuffer, lamp)[0].movedim(0, -1).numpy()
+    image = shaded(palette, gbuffer, lamp)
     off = off_by(image, wavy.radiance(wavy.lamp_out))[wavy.material > 0]
     assert np.median(off) < 2.0
     flat = rt.GBuffer(gbuffer.normal, view=(0, 0, 1), material=gbuffer.material)
-    upright = rt.shade(palette, flat, lamp)[0].movedim(0, -1).numpy()
+    upright = shaded(palette, flat, lamp)
     assert np.median(off_by(upright, wavy.radiance(wavy.lamp_out))[wavy.material > 0]) > 4
     said = json.loads((out / "inlay.json").read_text())["learnt"]
     assert said["photographs"] == [f"photo{k:02d}.png" for k in range(8)]
@@ -125,13 +132,13 @@ def test_a_flat_shell_is_warned_of_and_a_false_white_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, white: float | None
 ) -> None:
     monkeypatch.setattr(learn_shell, "_BODIES", learn_shell._BODIES[:1])
-    monkeypatch.setattr(learn_shell, "_NOISE", (0.3, 0.1, 0.03, 0.03))
+    monkeypatch.setattr(learn_shell, "_NOISE", (0.3, 0.1, 0.1, 0.03, 0.03))
     scene = Wavy(tmp_path, gap=2, lean=0.0)
     seen, surface = seen_of(scene)
     pieces = (scene.material == 1).astype(np.int32)
     told = (seen, pieces, np.array([0]), surface, ["shell1"], [str(k) for k in range(8)])
     if white is not None:
-        with pytest.raises(rt.InputError, match="more than all light"):
+        with pytest.raises(InputError, match="more than all light"):
             learn_palette(*told, white=white)
         return
     assert "holds near these lamps" in learn_palette(*told).notes[0]
