@@ -27,6 +27,8 @@ from raden_torch.stereo.capture_texture import TextureOptions, capture_texture
 from raden_torch.stereo.inlay_file import write_inlay
 
 Array = np.ndarray
+CASES = ((True, True), (False, True), (True, False))
+"""With a map, and with a normal a pixel."""
 OUTSIDE = np.array([np.sin(np.radians(75)), 0.0, np.cos(np.radians(75))])
 
 
@@ -99,7 +101,7 @@ def main() -> None:
         given = () if options.learnt_only else fitted(Path(made))
         for count in options.lamps:
             for models in ((), given) if given else ((),):
-                for by_map, pixel in ((True, True), (False, True), (True, False)):
+                for by_map, pixel in CASES:
                     rows.append(case(Path(made), maps, count, models, by_map, pixel))
     options.output.write_text(json.dumps(rows, indent=1) + "\n")
 
