@@ -218,7 +218,8 @@ _CAPTURE_COMMANDS = (
         "texture_command:texture",
         "Find each piece's shell and how its layers lean: a palette and a G-buffer to relight.",
         "raden capture texture lamp*.tif --lights lights.json --model yakogai.safetensors "
-        "--model awabi.safetensors -o inlay",
+        "--model awabi.safetensors -o inlay; --shells 2 for the models learns two shells from the "
+        "photographs",
     ),
     (
         "batch.photo_sets:batch",

@@ -24,7 +24,14 @@ class InlayOptions:
     """What the inlay is made of, and how it is read."""
 
     model: tuple[Path, ...] = ()
-    """model (.safetensors) of a shell in it; once for each shell"""
+    """model (.safetensors) of a shell in it; once for each shell; without one the shells are learnt
+    from the photographs"""
+    shells: int | None = None
+    """how many shells there are, to be learnt from 5 photographs or more; with --map, as many as
+    it tells apart"""
+    white: float | None = None
+    """linear value, 0…1, of a white diffuser that faces the lamp in the photographs: the scale of
+    the shells that are learnt; by default the brightest reflects 40 %"""
     ground: Path | None = None
     """model of the lacquer around the pieces; black urushi unless given"""
     map: Path | None = None
@@ -50,6 +57,10 @@ class InlayOptions:
     def __post_init__(self) -> None:
         if self.smallest_px < 1:
             raise InputError(f"smallest_px: expected at least 1, got {self.smallest_px}")
+        if self.shells is not None and not 1 <= self.shells <= 254:
+            raise InputError(f"shells: expected 1…254, got {self.shells}")
+        if self.white is not None and not self.white > 0:
+            raise InputError(f"white: expected more than 0, got {self.white}")
 
     @property
     def options(self) -> TextureOptions:

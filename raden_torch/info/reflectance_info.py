@@ -72,7 +72,9 @@ def _uncertainty(m: BrdfMeasurement) -> list[str]:
 def describe_model(model: RadenBrdf) -> str:
     """Sample, table, diffuse parameters, gains and fit, one fact a line."""
     about = model.provenance
+    learnt = about.fit.get("learnt")
     kind = "simulated specimen" if about.simulated else "measured specimen"
+    kind = about.instrument if learnt else kind
     lines = [f"model of {about.sample or 'an unnamed sample'} ({kind})"]
     if model.table is not None:
         shape = " x ".join(map(str, model.table.values.shape))
@@ -81,6 +83,9 @@ def describe_model(model: RadenBrdf) -> str:
         continued = about.fit.get("outside") == "continued"
         beyond = "what was measured is continued" if continued else "the diffuse part stands alone"
         how = "measured or derived (isotropic)" if about.fit.get("assumption") else "measured"
+        if learnt:
+            share = 100 * float(learnt["seen"])
+            how, beyond = f"seen ({share:.2g} % of a 5 degree grid)", "what was seen is continued"
         lines.append(f"{how}: {box} deg; beyond, {beyond}")
     if model.diffuse is not None:
         from raden_torch.brdf.fitting.fit_report import FITTED_TO
@@ -110,7 +115,9 @@ def _box(box_deg: Iterable[Sequence[float]]) -> str:
 def describe_spectral(model: SpectralBrdf) -> str:
     """Sample, bands, table and fit, one fact a line."""
     about, nm = model.provenance, model.wavelengths_nm
+    learnt = about.fit.get("learnt")
     kind = "simulated specimen" if about.simulated else "measured specimen"
+    kind = about.instrument if learnt else kind
     step = np.diff(nm)
     by = f" by {step[0]:g}" if np.allclose(step, step[0]) else ""
     lines = [

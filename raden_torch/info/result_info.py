@@ -34,6 +34,7 @@ class _Inlay(Struct):
     layers: str
     median_residual: Finite
     notes: list[str] = []
+    learnt: dict[str, Any] = {}
 
 
 class _Brdf(Struct):
@@ -155,12 +156,19 @@ def _inlay(path: Path) -> str:
             f"{len(found.pieces)} pieces from {len(found.photographs)} photographs, layers: "
             f"{found.layers}",
             f"materials: {', '.join(found.materials)}",
+            *_learnt(found),
             f"residual of a photograph: {100 * found.median_residual:.2g} % of a pixel's mean "
             "light over all lamps",
             f"beside it: {', '.join(found.files.values())}",
             *(f"note: {note}" for note in found.notes),
         ]
     )
+
+
+def _learnt(found: _Inlay) -> list[str]:
+    if not found.learnt:
+        return []
+    return [f"the shells were learnt from {len(found.photographs)} photographs, not measured"]
 
 
 def _brdf(path: Path) -> str:

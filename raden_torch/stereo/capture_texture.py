@@ -23,13 +23,17 @@ from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 from raden_torch.stereo.inlay import Inlay, find_inlay
 from raden_torch.stereo.lamp_assignment import agreement
+from raden_torch.stereo.learnt_palette import LearntPalette, learn_palette
 from raden_torch.stereo.observed_light import ObservedLight, thinned
 from raden_torch.stereo.photographed import Photographed
-from raden_torch.stereo.pieces import pieces_of
+from raden_torch.stereo.pieces import pieces_of, shells_of
 from raden_torch.stereo.solve import SAMPLE, ModelNormals
+from raden_torch.stereo.split_pieces import split_pieces
 
 _UNEVEN_DEG = 2.0
 """Layers that vary by more within a piece are seen as such."""
+_MOVED = 0.02
+"""Where a larger share of the pixels turns out to be another shell, all are learnt once more."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,10 @@ class TextureOptions:
     """How an inlay is read.
 
     Attributes:
-        models: one a shell.
+        models: one a shell; none where they are learnt from the photographs.
+        shells: how many are learnt; with a map, as many as it tells apart.
+        white: the photographs' linear value of a white diffuser that faces the lamp, which the
+            scale of what is learnt rests on; see `learn_palette`.
         ground: of the lacquer between the pieces; black urushi where None.
         map: which shell each pixel shows, from 1 in the order of `models`, 0 for the ground;
             where None, pieces are looked for and each takes the shell that fits.
@@ -49,7 +56,9 @@ class TextureOptions:
         exponent, keep_order, coded: as for `capture_normals`.
     """
 
-    models: tuple[Path, ...]
+    models: tuple[Path, ...] = ()
+    shells: int | None = None
+    white: float | None = None
     ground: Path | None = None
     map: Path | None = None
     normals: Path | None = None
@@ -75,6 +84,7 @@ class FoundInlay:
         palette: the ground and the shells.
         surface: `[3, H·W]`; `residual`: `[K]`, how far each photograph is from what was found, in
             the median over pixels, each relative to its mean light over all lamps.
+        learnt: what the palette was learnt from; None where it was given.
     """
 
     inlay: Inlay
@@ -83,6 +93,7 @@ class FoundInlay:
     surface: Tensor
     residual: Tensor
     notes: tuple[str, ...]
+    learnt: LearntPalette | None = None
 
     @cached_property
     def tilt_deg(self) -> Tensor:
@@ -123,38 +134,56 @@ def capture_texture(
         UserWarning: photographs that disagree with the others.
     """
     done = progress or (lambda share: None)
-    if not options.models:
-        raise InputError(
-            "`model`: expected one for each shell, got none: a flat piece shows too few angles to "
-            "fit one; measure the shell by `raden capture brdf` or `raden scan`"
-        )
-    shells = [_one(path) for path in options.models]
+    count = _count(options)
+    given_shells = [_one(path) for path in options.models]
     ground = black_urushi() if options.ground is None else _one(options.ground)
-    names = ["ground", *(path.stem for path in options.models)]
-    palette = Palette([ground, *shells], names if len(set(names)) == len(names) else ())
     given = read_lit_set(
         photographs,
         lights,
         mask,
         exponent=options.exponent,
         coded=options.coded,
-        progress=lambda share: done(0.2 * share),
+        progress=lambda share: done(0.1 * share),
     )
-    pieces, known = pieces_of(given, options.map, len(options.models), options.smallest_px)
+    pieces, by_colour = pieces_of(given, options.map, count, options.smallest_px)
     surface = _surface(given, options.normals)
     correction = None if options.colour is None else read_colour(options.colour)
     seen = Photographed.of(given, correction)
+    learnt, shells, names = None, given_shells, [path.stem for path in options.models]
+    before = 0.1
+    if not options.models:
+        names, before = [f"shell{k + 1}" for k in range(count)], 0.7
+        stems = [path.name for path in photographs]
+
+        def learn(share: Callable[[float], None]) -> LearntPalette:
+            told = (seen, pieces, by_colour, surface, names, stems)
+            return learn_palette(*told, white=options.white, progress=share)
+
+        learnt = learn(lambda share: done(0.1 + 0.6 * share))
+        shells = list(learnt.models)
+    if options.map is None and count > 1:
+        old = by_colour[pieces - 1] * (pieces > 0)
+        pieces, by_colour = split_pieces(
+            seen, shells, pieces, surface, options.smallest_px, lambda share: None
+        )
+        moved = (old != by_colour[pieces - 1] * (pieces > 0)).sum() / (pieces > 0).sum()
+        if learnt is not None and moved > _MOVED:  # what they were learnt from was mixed
+            learnt = learn(lambda share: None)
+            shells = list(learnt.models)
+    names = ["ground", *names]
+    palette = Palette([ground, *shells], names if len(set(names)) == len(names) else ())
     inlay = find_inlay(
         seen,
         shells,
         pieces,
         surface,
-        given=known,
+        given=None if options.map is None else by_colour,
         per_pixel=options.per_pixel,
-        progress=lambda share: done(0.2 + 0.8 * share),
+        progress=lambda share: done(before + (1 - before) * share),
     )
     light, fitted = _sample(seen, inlay, surface)
     residual, notes = agreement(shells, light, fitted, photographs, keep_order=options.keep_order)
+    notes += () if learnt is None else learnt.notes
     uneven = sum(piece.varies_deg > _UNEVEN_DEG for piece in inlay.pieces)
     if uneven and not options.per_pixel:
         notes.append(
@@ -164,7 +193,26 @@ def capture_texture(
         )
     for note in notes:
         warnings.warn(note, stacklevel=2)
-    return FoundInlay(inlay, palette, given, surface, residual, tuple(notes))
+    return FoundInlay(inlay, palette, given, surface, residual, tuple(notes), learnt)
+
+
+def _count(options: TextureOptions) -> int:
+    """How many shells there are."""
+    if options.models:
+        if options.shells is not None or options.white is not None:
+            which = "white" if options.shells is None else "shells"
+            raise InputError(
+                f"`{which}`: expected only without a model, as what is learnt needs it, got both"
+            )
+        return len(options.models)
+    if options.shells is not None:
+        return options.shells
+    if options.map is not None:
+        return shells_of(options.map)
+    raise InputError(
+        "`model`: expected one for each shell, got none; or say by `shells` how many there are, to "
+        "learn them from these photographs"
+    )
 
 
 def _one(path: Path) -> Reflection:

@@ -95,7 +95,7 @@ def find_inlay(
     """
     done = progress or (lambda share: None)
     number = torch.from_numpy(pieces.reshape(-1).astype(np.int64))
-    inner = torch.from_numpy(_inner(pieces).reshape(-1))
+    inner = torch.from_numpy(without_rims(pieces).reshape(-1))
     count = int(number.max())
     most = max(_LEAST, min(_MOST, _MOST_OF_ALL // count))
     pixels = _by_piece(number, count)
@@ -205,7 +205,7 @@ def _gains(
     return gain, exposure
 
 
-def _inner(pieces: NDArray[np.int32]) -> NDArray[np.int64]:
+def without_rims(pieces: NDArray[np.int32]) -> NDArray[np.int64]:
     """The pieces without their rims: of a narrow one nothing is left."""
     import cv2
 

@@ -79,5 +79,15 @@ def write_inlay(
         "median_residual": round(usual, 4),
         "notes": list(found.notes),
     }
+    if found.learnt is not None:
+        content["learnt"] = {
+            "what": "the shells' models were learnt from these photographs, not measured",
+            "scale": "an albedo of 0.4 is assumed" if options.white is None else "by the white",
+            "photographs": [path.name for path in photographs],
+            "shells": {
+                name: shell.as_dict()
+                for name, shell in zip(found.palette.names[1:], found.learnt.shells, strict=True)
+            },
+        }
     write_result(result, "inlay", content, made_from=photographs)
     return [result, gbuffer, palette, material, mask]

@@ -27,6 +27,7 @@ class ObservedLight:
         floor: the standard deviation of a dark value, in the unit of `value`.
         surface: `[3, P or 1]` normals of the surface where these are known: it is then the film
             layers below it that turn (`GBuffer.layer_normal`).
+        relative: of a value, what it is off by as a standard deviation.
     """
 
     value: Tensor
@@ -36,6 +37,7 @@ class ObservedLight:
     view: Tensor
     floor: float
     surface: Tensor | None = None
+    relative: float = RELATIVE_NOISE
 
     def at(self, index: Tensor) -> ObservedLight:
         """Some of the pixels, by their numbers or as a mask."""
@@ -51,6 +53,7 @@ class ObservedLight:
             part(self.view),
             self.floor,
             None if self.surface is None else part(self.surface),
+            self.relative,
         )
 
     @property
@@ -65,7 +68,7 @@ class ObservedLight:
     @cached_property
     def weight(self) -> Tensor:
         """`[K, C, P]` one over the standard deviation of each value, 0 where it is clipped."""
-        return self.usable / (RELATIVE_NOISE * self.value + self.floor)
+        return self.usable / (self.relative * self.value + self.floor)
 
     @property
     def middle(self) -> ObservedLight:
@@ -83,6 +86,7 @@ class ObservedLight:
             mean(self.view, 0),
             self.floor,
             None if self.surface is None else mean(self.surface, 0),
+            self.relative,
         )
 
 

@@ -18,8 +18,9 @@ _FEWEST_PX = 4
 
 def pieces_of(
     given: LitSet, path: Path | None, shells: int, smallest_px: int
-) -> tuple[NDArray[np.int32], NDArray[np.int64] | None]:
-    """Pieces numbered from 1 by falling area, `[H, W]`; and the shell of each where a map tells.
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Pieces numbered from 1 by falling area, `[H, W]`; and the shell of each, from 0: by
+    the map, else by its colours.
 
     Args:
         path: the map of shells, from 1; where None, pieces are looked for.
@@ -58,7 +59,19 @@ def pieces_of(
         numbers[value][k] = number
     for value, labelled in labels.items():
         pieces += numbers[value][labelled]
-    return pieces, None if path is None else np.array([value - 1 for _, value, _ in kept])
+    return pieces, np.array([value - 1 for _, value, _ in kept])
+
+
+def shells_of(path: Path) -> int:
+    """How many shells a map tells apart.
+
+    Raises:
+        InputError: none.
+    """
+    highest = int(stored_indices(path).max())
+    if highest == 0:
+        raise InputError(f"{path}: expected indices from 1 where there is shell, got 0 everywhere")
+    return highest
 
 
 def _read_map(path: Path, size: tuple[int, int], shells: int) -> NDArray[np.int64]:
@@ -70,7 +83,7 @@ def _read_map(path: Path, size: tuple[int, int], shells: int) -> NDArray[np.int6
         )
     if int(pixels.max()) > shells:
         raise InputError(
-            f"{path}: expected indices 0…{shells}, 0 for the ground and one a model, got "
+            f"{path}: expected indices 0…{shells}, 0 for the ground and one a shell, got "
             f"{int(pixels.max())}"
         )
     return pixels.astype(np.int64)

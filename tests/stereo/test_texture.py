@@ -214,7 +214,7 @@ def test_clipped_highlights_do_not_matter(raden, inlay: InlaySet, tmp_path: Path
     [
         ("no model", "--model: expected one for each shell, got none"),
         ("map of another size", "expected the photographs' 48 x 48 pixels, got 24 x 24"),
-        ("map with a third", "expected indices 0…2, 0 for the ground and one a model, got 3"),
+        ("map with a third", "expected indices 0…2, 0 for the ground and one a shell, got 3"),
         ("mask of another size", "24 x 24"),
         ("a lamp too few", "expected one lamp per photograph"),
         ("no piece", "expected at least one piece of 2000 pixels within the mask, got none"),
