@@ -159,6 +159,13 @@ def capture_handheld(
             "the tone curve is taken for sRGB's; a phone's own is often 10 to 30 % off it: grey "
             "patches of known reflectance show it"
         )
+    has_curve = setup.response is not None or response is not None
+    if has_curve and not all(picture.is_srgb for picture in frames):
+        notes.append(
+            "the stills' colour profile has other primaries than sRGB's, as Display P3; with a "
+            "response file colours are as stored: `raden capture colour --response-file` on a "
+            "chart finds their way to XYZ"
+        )
     done(0.97)
     exposures = exposures_of(frames, kept_poses, groups, lamps, camera, setup, table)
     notes += _said(lamps, exposures, setup, clips)

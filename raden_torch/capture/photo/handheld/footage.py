@@ -55,6 +55,7 @@ class Picture:
         number: in the clip, from 0.
         pixels: `[H, W, 3]` RGB of 8 bits, as stored.
         settings: of the camera, by EXIF; unknown of a frame.
+        is_srgb: its file names no other primaries than sRGB's.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Picture:
     number: int
     pixels: NDArray[np.uint8]
     settings: ShotSettings = UNKNOWN
+    is_srgb: bool = True
 
 
 def clips_of(paths: Sequence[Path]) -> list[Clip]:
@@ -109,8 +111,7 @@ def pictures(clip: Clip, place: int, wanted: Collection[int] | None = None) -> I
     if clip.video is None:
         for k, path in enumerate(clip.stills):
             if wanted is None or k in wanted:
-                stored = read_stored(path)
-                yield Picture(path.name, place, k, stored, read_photograph(path).settings)
+                yield _still(path, place, k)
         return
     import cv2
 
@@ -131,6 +132,14 @@ def pictures(clip: Clip, place: int, wanted: Collection[int] | None = None) -> I
             number += 1
     if number == 0:
         raise InputError(f"{clip.video}: expected a video, got one without frames")
+
+
+def _still(path: Path, place: int, number: int) -> Picture:
+    photo = read_photograph(path)
+    is_plain = photo.values.dtype == np.uint8 and photo.values.ndim == 3
+    pixels = photo.values if is_plain else read_stored(path)
+    is_srgb = photo.matrix is None or bool(np.allclose(photo.matrix, np.eye(3), atol=1e-3))
+    return Picture(path.name, place, number, pixels, photo.settings, is_srgb)
 
 
 class _opened:

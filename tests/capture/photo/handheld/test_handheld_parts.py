@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -305,3 +307,17 @@ def test_chosen_pictures(ways: list[tuple[float, float]], most: int) -> None:
     assert chosen == sorted(set(chosen))
     assert len(chosen) <= most
     assert len(chosen) == min(most, len(poses)) or len(poses) > len(chosen) >= most - 2
+
+
+def test_stills_of_other_primaries_are_known(tmp_path: Path) -> None:
+    """As a phone's: Display P3, here by a PNG's cICP chunk."""
+    coded = cv2.imencode(".png", np.full((40, 40, 3), 100, np.uint8))[1].tobytes()
+    body = b"cICP" + bytes([12, 13, 0, 1])
+    chunk = struct.pack(">I", 4) + body + struct.pack(">I", zlib.crc32(body))
+    (tmp_path / "srgb.png").write_bytes(coded)
+    (tmp_path / "p3.png").write_bytes(coded[:33] + chunk + coded[33:])
+    (clip,) = clips_of([tmp_path / "srgb.png", tmp_path / "p3.png"])
+    assert [(p.is_srgb, p.pixels[0, 0, 0]) for p in pictures(clip, 0)] == [
+        (True, 100),
+        (False, 100),
+    ]
