@@ -11,7 +11,6 @@ from cyclopts import Group, Parameter
 from raden_torch.cli.capture_commands import BoardOptions
 from raden_torch.cli.option_types import Five, Region, Regions, Triple, Triples, files, output
 from raden_torch.cli.status import progress
-from raden_torch.errors import InputError
 from raden_torch.files import check_outputs
 
 if TYPE_CHECKING:
@@ -29,6 +28,8 @@ class CardOptions:
     """corners of the piece, as "x,y x,y x,y x,y\""""
     white_region: Region
     """corners of the white reference; each picture's exposure is read from it"""
+    white_factor: str | None = None
+    """its reflectance factor, 100 for a perfect diffuser, for the command that goes on"""
     ball: Triples = ()
     """a chrome ball that shows the lamp: x,y where it touches the board (to some mm), and its
     radius in mm; may be repeated"""
@@ -79,14 +80,14 @@ def handheld(
     from raden_torch.capture.photo.capture_handheld import capture_handheld
     from raden_torch.capture.photo.handheld.handheld_file import (
         HandheldPaths,
+        check_folder,
         next_command,
         write_handheld,
     )
     from raden_torch.plots.handheld_figure import draw_handheld
     from raden_torch.plots.sheet import save_plot
 
-    if output.exists() and not output.is_dir():
-        raise InputError(f"{output}: expected a folder, got a file")
+    check_folder(output, footage)
     paths = HandheldPaths(output)
     if output.is_dir():
         check_outputs(*paths.all, inputs=(*footage, how.camera, how.response))
@@ -97,7 +98,7 @@ def handheld(
     save_plot(draw_handheld(found), paths.picture)
     print(found)
     print(f"wrote {output}\nwrote {paths.picture} (look at it)\nNext:")
-    print(next_command(found, paths, photographs, how.response))
+    print(next_command(found, paths, photographs, how.response, card.white_factor))
 
 
 def _setup(board: BoardOptions, card: CardOptions, how: HandOptions) -> HandheldSetup:

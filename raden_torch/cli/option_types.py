@@ -101,11 +101,20 @@ def _triple(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
+def _finite_triple(text: str) -> tuple[float, float, float]:
+    found = _triple(text)
+    if not all(map(isfinite, found)):
+        raise ValueError(f"expected three finite numbers as 0.1,0.02,30, got {text}")
+    return found
+
+
 def _five(text: str) -> tuple[float, float, float, float, float]:
     try:
-        a, b, c, d, e = (float(part) for part in text.split(","))
+        a, b, c, d, e = (float(part) for part in text.split(",") if isfinite(float(part)))
     except ValueError:
-        raise ValueError(f"expected five numbers as 0.1,0.02,30,0.14,0.05, got {text}") from None
+        raise ValueError(
+            f"expected five finite numbers as 0.1,0.02,30,0.14,0.05, got {text}"
+        ) from None
     return a, b, c, d, e
 
 
@@ -267,7 +276,7 @@ def _lamp_or_file(text: str) -> tuple[float, float, float] | Path:
 
 
 Triple = Annotated[tuple[float, float, float], _read(_triple, "X,Y,Z")]
-Triples = Annotated[tuple[tuple[float, float, float], ...], _read_all(_triple, "X,Y,NUMBER")]
+Triples = Annotated[tuple[tuple[float, float, float], ...], _read_all(_finite_triple, "X,Y,NUMBER")]
 Five = Annotated[
     tuple[tuple[float, float, float, float, float], ...], _read_all(_five, "X,Y,HEIGHT,X,Y")
 ]

@@ -21,9 +21,10 @@ from raden_torch.capture.photo.handheld.lamp_fit import FoundLamp, LampSetting, 
 from raden_torch.capture.photo.handheld.lamp_sights import Sights, sights, white_squares_m
 from raden_torch.capture.photo.handheld.response_fit import Response
 from raden_torch.capture.photo.handheld.white_and_greys import (
+    Places,
     exposures_of,
+    places_in,
     response_of,
-    white_checked,
 )
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import SRGB_SPACE
@@ -61,6 +62,14 @@ class Handheld:
     notes: tuple[str, ...] = field(default=())
 
     @property
+    def lit(self) -> list[str]:
+        """Of each lamp where it shone, as " (walk1.mp4)"; "" of one on the camera."""
+        if self.setup.lamp_on_camera:
+            return [""]
+        clips = sorted({each.clip for each in self.kept})
+        return [f" ({self.clips[clip].name})" for clip in clips]
+
+    @property
     def kept(self) -> list[Judged]:
         return [self.looked_at[k] for k in self.chosen]
 
@@ -87,7 +96,7 @@ class Handheld:
         for k, lamp in enumerate(self.lamps):
             at = ", ".join(f"{1000 * value:.0f}" for value in lamp.at_m)
             lines.append(
-                f"lamp {k + 1}: at {at} mm in the frame of {frame}, direction ± "
+                f"lamp {k + 1}{self.lit[k]}: at {at} mm in the frame of {frame}, direction ± "
                 f"{lamp.std_deg:.2f} deg, by {lamp.images} images ({lamp.left_out} left out)"
             )
         if self.response is not None:
@@ -131,44 +140,39 @@ def capture_handheld(
     notes = [] if calibration is None else list(calibration.notes)
     done(0.75)
     table = _srgb() if setup.response is None else setup.response
-    seen = _sights(clips, looked, poses, camera, setup, table)
-    done(0.85)
+    looked, seen, places, all_srgb = _looked_into(clips, looked, poses, camera, setup, table)
+    done(0.9)
     chosen = _chosen(looked, poses, setup)
-    # the white is looked at in the chosen alone: those that fail make room for others, once
-    read = _read(clips, looked, chosen)
-    looked = white_checked(looked, chosen, poses, seen, camera, setup, read)
-    chosen = _chosen(looked, poses, setup)
-    read |= _read(clips, looked, [k for k in chosen if k not in read])
-    looked = white_checked(looked, chosen, poses, seen, camera, setup, read)
-    chosen = [k for k in chosen if not looked[k].refused]
     if len(chosen) < FEWEST:
         raise InputError(too_few(looked, len(chosen)))
-    done(0.9)
-    kept_poses = [poses[k] for k in chosen]
-    frames = [read[k] for k in chosen]
+    kept_poses, kept_places = [poses[k] for k in chosen], [places[k] for k in chosen]
     lit = _lit_by(setup, [looked[k].clip for k in chosen])
-    lamps = _lamps(looked, poses, seen, lit, camera, setup, table, clips)
     groups = [lit.index(None if setup.lamp_on_camera else looked[k].clip) for k in chosen]
+    lamps = _lamps(looked, poses, seen, lit, camera, setup, table, clips)
+    lamps_m = _on_board(lamps, groups, kept_poses, setup)
     response = None
     if setup.greys:
-        response = response_of(frames, kept_poses, groups, lamps, camera, setup)
+        response = response_of(kept_places, lamps_m, setup)
         table = response.table
         lamps = _lamps(looked, poses, seen, lit, camera, setup, table, clips)
+        lamps_m = _on_board(lamps, groups, kept_poses, setup)
     elif setup.response is None:
         notes.append(
             "the tone curve is taken for sRGB's; a phone's own is often 10 to 30 % off it: grey "
             "patches of known reflectance show it"
         )
-    has_curve = setup.response is not None or response is not None
-    if has_curve and not all(picture.is_srgb for picture in frames):
+    if not all_srgb and (setup.response is not None or response is not None):
         notes.append(
             "the stills' colour profile has other primaries than sRGB's, as Display P3; with a "
             "response file colours are as stored: `raden capture colour --response-file` on a "
             "chart finds their way to XYZ"
         )
     done(0.97)
-    exposures = exposures_of(frames, kept_poses, groups, lamps, camera, setup, table)
-    notes += _said(lamps, exposures, setup, clips)
+    exposures = exposures_of(kept_places, lamps_m, setup, table)
+    notes += [
+        *_without_pictures(clips, looked, chosen),
+        *_said(lamps, lit, exposures, setup, clips),
+    ]
     return Handheld(
         clips, looked, chosen, kept_poses, camera, calibration, lamps, groups, response, exposures,
         setup, tuple(notes),
@@ -182,15 +186,10 @@ def _chosen(looked: Sequence[Judged], poses: dict[int, Pose], setup: HandheldSet
     return [may[i] for i in picked] if may else []
 
 
-def _read(clips: Sequence[Clip], looked: Sequence[Judged], wanted: list[int]) -> dict[int, Picture]:
-    """The pictures with these numbers in `looked`."""
-    return dict(_pictures(clips, looked, wanted))
-
-
 def _pictures(
     clips: Sequence[Clip], looked: Sequence[Judged], wanted: Iterable[int]
 ) -> Iterator[tuple[int, Picture]]:
-    """The same one by one, with their numbers."""
+    """The pictures with these numbers in `looked`, one by one."""
     by_place = {(looked[k].clip, looked[k].number): k for k in wanted}
     for place, clip in enumerate(clips):
         numbers = {number for c, number in by_place if c == place}
@@ -198,23 +197,47 @@ def _pictures(
             yield by_place[place, picture.number], picture
 
 
-def _sights(
+def _looked_into(
     clips: Sequence[Clip],
-    looked: Sequence[Judged],
+    looked: list[Judged],
     poses: dict[int, Pose],
     camera: Camera,
     setup: HandheldSetup,
     table: Floats32,
-) -> dict[int, Sights]:
-    """What every sharp picture shows of its lamp, kept or not."""
-    covered = _covered(setup)
-    found = {}
+) -> tuple[list[Judged], dict[int, Sights], dict[int, Places], bool]:
+    """What every sharp picture shows of its lamp, white and greys; the pictures again, those
+    refused whose white does not tell the exposure; and whether all have sRGB's primaries."""
+    covered, all_srgb = _covered(setup), True
+    seen: dict[int, Sights] = {}
+    places: dict[int, Places] = {}
+    looked = list(looked)
     for k, picture in _pictures(clips, looked, poses):
-        found[k] = sights(
-            picture.pixels, table, camera, poses[k], setup.board, setup.balls, setup.mirrors,
-            covered,
-        )  # fmt: skip
-    return found
+        pose = poses[k]
+        try:
+            seen[k] = sights(
+                picture.pixels, table, camera, pose, setup.board, setup.balls, setup.mirrors,
+                covered,
+            )  # fmt: skip
+            places[k] = places_in(picture.pixels, seen[k], camera, pose, setup)
+        except InputError:
+            seen.pop(k, None)
+            looked[k] = looked[k].because("a place on the board lies behind the camera")
+            continue
+        looked[k] = looked[k].because(places[k].refused)
+        all_srgb = all_srgb and picture.is_srgb
+    return looked, seen, places, all_srgb
+
+
+def _on_board(
+    lamps: Sequence[FoundLamp], groups: Sequence[int], poses: Sequence[Pose], setup: HandheldSetup
+) -> list[Floats]:
+    """The lamp of each picture, on the board."""
+    if not setup.lamp_on_camera:
+        return [lamps[group].at_m for group in groups]
+    return [
+        pose.rotation.T @ (lamps[group].at_m - pose.translation_m)
+        for group, pose in zip(groups, poses, strict=True)
+    ]
 
 
 def _lit_by(setup: HandheldSetup, clips: Sequence[int]) -> list[int | None]:
@@ -275,12 +298,31 @@ def _srgb() -> Floats32:
     return SRGB_SPACE.table(255)[:, 0]
 
 
+def _without_pictures(
+    clips: Sequence[Clip], looked: Sequence[Judged], chosen: Sequence[int]
+) -> list[str]:
+    """A note for each clip of which nothing is kept."""
+    notes = []
+    for place, clip in enumerate(clips):
+        if any(looked[k].clip == place for k in chosen):
+            continue
+        reasons = [each.refused.split(":")[0] for each in looked if each.clip == place]
+        most = max(set(reasons), key=reasons.count) if reasons else "nothing in it"
+        notes.append(f"{clip.name}: no picture of it is kept ({most or 'others show as much'})")
+    return notes
+
+
 def _said(
-    lamps: Sequence[FoundLamp], exposures: Floats, setup: HandheldSetup, clips: Sequence[Clip]
+    lamps: Sequence[FoundLamp],
+    lit: Sequence[int | None],
+    exposures: Floats,
+    setup: HandheldSetup,
+    clips: Sequence[Clip],
 ) -> list[str]:
     notes = []
     for k, lamp in enumerate(lamps):
-        which = f"lamp {k + 1}: " if len(lamps) > 1 else "the lamp: "
+        clip = lit[k]
+        which = "the lamp: " if clip is None else f"{clips[clip].name}: the lamp: "
         if lamp.std_deg > 1.0:
             notes.append(
                 f"{which}its direction is known to {lamp.std_deg:.1f} deg only; another ball or a "

@@ -41,24 +41,24 @@ def camera_and_poses(
     poses = {k: board_pose(_view(looked[k]), camera) for k in sharp}
     rms = float(np.median([pose.rms_px for pose in poses.values()]))
     own = float(np.median([pose.rms_px for pose in calibration.poses]))
-    if rms > max(_TWICE * own, own + _MORE_PX):
+    if setup.camera is not None and rms > max(_TWICE * own, own + _MORE_PX):
         raise InputError(
             f"{setup.camera}: expected the camera that took these pictures, got one by which the "
             f"board's corners lie {rms:.1f} px off ({own:.1f} px by the pictures themselves): "
             "another lens, zoom or focus; leave it out"
         )
-    views = [_view(looked[k]) for k in sharp]
-    wrong = bent(heights_m(views, camera, list(poses.values())), setup.board.square_m)
-    if wrong is not None:
-        raise InputError(wrong)
     looked = list(looked)
     for k, pose in list(poses.items()):
         why = zoomed(*zoom_of(_view(looked[k]), camera, pose))
         if pose.rms_px > max(MOST_RMS_PX, 4 * rms):
-            why = why or f"its corners lie {pose.rms_px:.1f} px off the board's pose"
+            why = why or f"its corners lie off the board's pose: by {pose.rms_px:.1f} px"
         if why is not None:
             looked[k] = looked[k].because(why)
             del poses[k]
+    views = [_view(looked[k]) for k in poses]
+    wrong = bent(heights_m(views, camera, list(poses.values())), setup.board.square_m)
+    if wrong is not None:
+        raise InputError(f"{looked[0].name} …: {wrong}")
     return camera, None if setup.camera else calibration, looked, poses
 
 

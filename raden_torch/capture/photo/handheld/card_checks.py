@@ -16,6 +16,8 @@ from raden_torch.capture.photo.camera import Camera, Pose
 MOST_RMS_PX = 1.5
 """Re-projection error beyond which a picture's pose is not believed."""
 _BENT_M, _BENT_SQUARES = 5e-4, 0.03
+_OF_CORNERS = 0.9
+"""So many lie nearer: a few beside something that lies on the card do not make it bent."""
 _FEWEST_SIGHTS = 5
 _ZOOMED, _SURE = 0.02, 5.0
 _LEANS_DEG = 20.0
@@ -51,12 +53,13 @@ def heights_m(views: Sequence[BoardView], camera: Camera, poses: Sequence[Pose])
 
 def bent(heights: Floats, square_m: float) -> str | None:
     """What to say of a card that is not flat."""
-    most = float(np.nanmax(np.abs(heights), initial=0.0))
+    known = np.abs(heights[np.isfinite(heights)])
+    most = float(np.quantile(known, _OF_CORNERS)) if len(known) else 0.0
     if most < max(_BENT_M, _BENT_SQUARES * square_m):
         return None
     return (
-        f"the card is not flat: its corners lie up to {1000 * most:.1f} mm off their plane; glue "
-        "it on a stiff board"
+        f"the card is not flat: a tenth of its corners lie {1000 * most:.1f} mm or more off their "
+        "plane; glue it on a stiff board"
     )
 
 

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from raden_torch.capture.photo.photograph import read_stored
 from raden_torch.capture.photo.stored_photograph import read_photograph
 from raden_torch.errors import InputError
-from raden_torch.images.raw import is_raw
 from raden_torch.images.shot_settings import UNKNOWN, ShotSettings
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp")
-_STILL_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".heif", ".dng")
+_STILL_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".heif")
 _MOST_PIXELS = 100_000_000
 
 
@@ -76,8 +75,7 @@ def clips_of(paths: Sequence[Path]) -> list[Clip]:
     loose: list[Path] = []
     for path in paths:
         if path.is_dir():
-            known = (*_STILL_SUFFIXES,)
-            files = [p for p in path.iterdir() if p.suffix.lower() in known or is_raw(p)]
+            files = [p for p in path.iterdir() if p.suffix.lower() in _STILL_SUFFIXES]
             if not files:
                 raise InputError(f"{path}: expected a folder of photographs, got none in it")
             clips.append(Clip(path.name, tuple(sorted(files, key=_by_number))))
@@ -123,21 +121,30 @@ def pictures(clip: Clip, place: int, wanted: Collection[int] | None = None) -> I
                 break
             if wanted is None or number in wanted:
                 found, bgr = frames.retrieve()
-                if not found:
-                    break
+                if not found:  # a damaged frame
+                    number += 1
+                    continue
                 if bgr.shape[0] * bgr.shape[1] > _MOST_PIXELS:
-                    raise InputError(f"{clip.video}: over {_MOST_PIXELS // 10**6} million pixels")
+                    raise InputError(
+                        f"{clip.video}: expected frames of at most {_MOST_PIXELS // 10**6} million "
+                        f"pixels, got {bgr.shape[1]} x {bgr.shape[0]}"
+                    )
                 rgb = np.ascontiguousarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
                 yield Picture(f"{stem}_{number:06d}.png", place, number, rgb)
             number += 1
-    if number == 0:
+    if number == 0 and (wanted is None or wanted):
         raise InputError(f"{clip.video}: expected a video, got one without frames")
 
 
 def _still(path: Path, place: int, number: int) -> Picture:
     photo = read_photograph(path)
-    is_plain = photo.values.dtype == np.uint8 and photo.values.ndim == 3
-    pixels = photo.values if is_plain else read_stored(path)
+    if photo.raw is not None or photo.values.dtype != np.uint8:
+        kind = "a raw file" if photo.raw is not None else f"{photo.values.dtype} values"
+        raise InputError(
+            f"{path}: expected stills of 8 bits, as a phone's JPEG or HEIC, whose tone curve is "
+            f"looked for, got {kind}; raw files go to `raden capture calibrate`, `lights`, `brdf`"
+        )
+    pixels = photo.values if photo.values.ndim == 3 else read_stored(path)
     is_srgb = photo.matrix is None or bool(np.allclose(photo.matrix, np.eye(3), atol=1e-3))
     return Picture(path.name, place, number, pixels, photo.settings, is_srgb)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.rays import MM, Y_UP
@@ -18,7 +19,9 @@ from raden_torch.capture.photo.capture_handheld import Handheld
 from raden_torch.capture.photo.handheld.footage import pictures
 from raden_torch.capture.photo.handheld.response_fit import write_response
 from raden_torch.capture.photo.lamps import Lamps, write_lamps
-from raden_torch.capture.photo.result_file import write_result
+from raden_torch.capture.photo.result_file import read_result, write_result
+from raden_torch.errors import InputError
+from raden_torch.files import check_writable
 from raden_torch.images.pixels import write_pixels
 
 _FRAME = re.compile(r".*_\d{6}\.png")
@@ -68,7 +71,7 @@ def write_handheld(found: Handheld, folder: Path) -> list[Path]:
     """
     paths = HandheldPaths(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    photographs = _photographs(found, paths.frames)
+    photographs = _photographs(found, paths.frames, _frames_of(paths.report))
     views = [each.view for each in found.kept]
     write_camera(
         paths.camera,
@@ -88,13 +91,18 @@ def write_handheld(found: Handheld, folder: Path) -> list[Path]:
 
 
 def next_command(
-    found: Handheld, paths: HandheldPaths, photographs: Sequence[Path], response: Path | None
+    found: Handheld,
+    paths: HandheldPaths,
+    photographs: Sequence[Path],
+    response: Path | None,
+    white_factor: str | None = None,
 ) -> str:
     """What makes a measurement of it.
 
     Args:
         photographs: as `write_handheld` gave them.
         response: a response file that was given.
+        white_factor: of the white; None: "FACTOR" stands for it.
     """
     setup = found.setup
     curve = paths.response if found.response is not None else response
@@ -107,7 +115,8 @@ def next_command(
         ]),
         *([] if curve is None else [f"--response-file {shlex.quote(str(curve))}"]),
         f"--shape plane --region '{_points(setup.region_m)}'",
-        f"--white-region '{_points(setup.white_m)}' --white-factor 90 --scattered -o shell.csv",
+        f"--white-region '{_points(setup.white_m)}' "
+        f"--white-factor {white_factor or 'FACTOR'} --scattered -o shell.csv",
     ]  # fmt: skip
     return " \\\n    ".join(words)
 
@@ -123,10 +132,12 @@ def _points(corners: Floats) -> str:
     return " ".join(",".join(f"{value:g}" for value in corner) for corner in corners)
 
 
-def _photographs(found: Handheld, frames: Path) -> list[Path]:
+def _photographs(found: Handheld, frames: Path, earlier: set[str]) -> list[Path]:
     written: list[Path] = []
     for place, clip in enumerate(found.clips):
         kept = [each for each in found.kept if each.clip == place]
+        if not kept:
+            continue
         if clip.video is None:
             written += [clip.stills[each.number] for each in kept]
             continue
@@ -134,12 +145,46 @@ def _photographs(found: Handheld, frames: Path) -> list[Path]:
         for picture in pictures(clip, place, {each.number for each in kept}):
             write_pixels(picture.pixels, frames / picture.name)
             written.append(frames / picture.name)
-    if frames.is_dir():
-        names = {path.name for path in written}
-        for old in frames.iterdir():
-            if _FRAME.fullmatch(old.name) and old.name not in names:
-                old.unlink()
+    names = {path.name for path in written}
+    for old in earlier - names:
+        if _FRAME.fullmatch(old):
+            (frames / old).unlink(missing_ok=True)
     return written
+
+
+def _frames_of(report: Path) -> set[str]:
+    """Names of the pictures that an earlier run kept; none where there was no such run."""
+    if not report.is_file():
+        return set()
+    try:
+        earlier = read_result(report, "handheld", _EarlierRun)
+    except InputError:
+        return set()
+    return {each.picture for each in earlier.pictures if each.kept}
+
+
+class _EarlierPicture(Struct):
+    picture: str
+    kept: bool
+
+
+class _EarlierRun(Struct):
+    pictures: tuple[_EarlierPicture, ...]
+
+
+def check_folder(folder: Path, footage: Sequence[Path]) -> None:
+    """Raise InputError where the result could not be written, or would meet the footage."""
+    frames = HandheldPaths(folder).frames.resolve()
+    for path in footage:
+        if frames in (path.resolve(), path.resolve().parent):
+            raise InputError(
+                f"{path}: expected footage outside of {folder / 'frames'}, into which frames are "
+                "written; give another output folder"
+            )
+    existing = next(p for p in (folder, *folder.resolve().parents) if p.exists())
+    if not existing.is_dir():
+        raise InputError(f"{folder}: expected a folder, got a file in its place")
+    check_writable((existing if existing != folder else folder) / "camera.json")
 
 
 def _lamps(found: Handheld) -> Lamps:
@@ -178,7 +223,7 @@ def _report(found: Handheld) -> dict[str, Any]:
             "picture": each.name,
             "clip": found.clips[each.clip].name,
             "kept": k in exposure,
-            "refused": each.refused,
+            "refused": each.refused or ("" if k in exposure else "others show as much"),
         }
         if each.blur is not None:
             entry["blur_px"] = [

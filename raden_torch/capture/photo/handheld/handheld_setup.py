@@ -72,6 +72,8 @@ class HandheldSetup:
     every: int | None = None
 
     def __post_init__(self) -> None:
+        if self.flash_m is not None and not np.isfinite(self.flash_m).all():
+            raise InputError("flash: expected three finite numbers, got others")
         if self.flash_m is not None and not self.lamp_on_camera:
             raise InputError("flash: expected a lamp on the camera, got one beside the board")
         if not (self.balls or self.mirrors or self.shadows or self.flash_m is not None):

@@ -142,5 +142,5 @@ def _check_size(picture: Picture, others: Sequence[Judged]) -> None:
         (height, width), (h, w) = picture.pixels.shape[:2], others[0].size
         raise InputError(
             f"{picture.name}: expected pictures of one camera, all of {w} x {h} pixels as "
-            f"{others[0].name}, got {width} x {height}"
+            f"{others[0].name}, got {width} x {height} (was the phone turned?)"
         )

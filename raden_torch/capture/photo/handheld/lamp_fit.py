@@ -38,6 +38,7 @@ _OUTLIER, _MOST_PX, _ROUNDS = 4.0, 1.5, 4
 _TRIED, _SOLVED = 25, 60
 """Evaluations of a start, and of the best of them."""
 _STARTS_M = (0.15, 0.3, 0.6, 1.2)
+_WEAK_M = 1.0
 _LOWEST_M, _GRAZING = 0.02, 0.02
 """A lamp stands higher over the board than this; below this cosine its light is as good as none."""
 
@@ -108,14 +109,14 @@ def find_lamp(
     Raises:
         InputError: nothing shows it, or what does contradicts itself.
     """
-    fit = _Fit(setting, poses, seen, table)
+    fit = _Fit(setting, poses, seen, table, name)
     if fit.image_count == 0 and not setting.shadows and setting.said_m is None:
         raise InputError(
             f"{name}: the lamp's image was found in no ball or mirror of {len(poses)} pictures: "
             "are their places on the board right? Expose so that the white is not clipped, and "
             "cover windows"
         )
-    return fit.described(fit.solved(), name)
+    return fit.described(fit.solved())
 
 
 class _Fit:
@@ -127,7 +128,9 @@ class _Fit:
         poses: Sequence[Pose],
         seen: Sequence[Sights],
         table: Floats32,
+        name: str,
     ) -> None:
+        self.name = name
         self.setting, self.poses = setting, list(poses)
         self.turn = np.array([pose.rotation for pose in poses])
         self.shift = np.array([pose.translation_m for pose in poses])
@@ -294,9 +297,13 @@ class _Fit:
                 self.residuals, start, loss="soft_l1", x_scale=scale, max_nfev=most
             )
 
-        found = min(
-            (fitted(start, _TRIED) for start in self.starts()), key=lambda each: float(each.cost)
-        )
+        starts = self.starts()
+        if not starts:
+            raise InputError(
+                f"{self.name}: expected images of a lamp above the board, got {self.image_count} "
+                "that would show one below it: are the places of balls and mirrors right?"
+            )
+        found = min((fitted(start, _TRIED) for start in starts), key=lambda each: float(each.cost))
         for _ in range(_ROUNDS):
             in_balls, in_mirrors = self.image_residuals(found.x)
             limit = _OUTLIER * np.clip(self._spread(in_balls, in_mirrors), _IMAGE_PX, _MOST_PX)
@@ -317,11 +324,11 @@ class _Fit:
         all_of = np.concatenate([np.linalg.norm(each, axis=2).ravel() for each in off])
         return float(np.nanmedian(all_of)) if np.isfinite(all_of).any() else 0.0
 
-    def described(self, p: Floats, name: str) -> FoundLamp:
+    def described(self, p: Floats) -> FoundLamp:
         """The solution with its uncertainty.
 
         Raises:
-            InputError: most of the images do not fit; a lamp that nothing holds.
+            InputError: most of the images do not fit.
         """
         from scipy.optimize import approx_fprime
 
@@ -330,12 +337,14 @@ class _Fit:
         off = np.concatenate([in_balls[self.used_balls], in_mirrors[self.used_mirrors]])
         if self.image_count and self._left_out > 0.5 * self.image_count:
             raise InputError(
-                f"{name}: of {self.image_count} images of the lamp in balls and mirrors "
+                f"{self.name}: of {self.image_count} images of the lamp in balls and mirrors "
                 f"{self._left_out} fit no lamp: it moved, there are two, or the ball's radius or "
                 "place is another"
             )
         jacobian = approx_fprime(p, self.residuals, 1e-6)
-        inverse = np.linalg.pinv(jacobian.T @ jacobian)
+        # what nothing tells is known to a metre
+        weak = np.diag(1 / np.r_[np.full(3, _WEAK_M), np.full(self.touch.size, _SAID_M)] ** 2)
+        inverse = np.linalg.inv(jacobian.T @ jacobian + weak)
         covariance = inverse[:3, :3] * max(1.0, float(np.mean(self.residuals(p) ** 2)))
         rms = float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
         level, lost = self.level_residuals(p)

@@ -17,7 +17,11 @@ import pytest
 from raden_torch.capture.exchange import load_measurement
 from raden_torch.capture.photo.camera import read_camera, read_poses
 from raden_torch.capture.photo.capture_handheld import Handheld, capture_handheld
-from raden_torch.capture.photo.handheld.handheld_file import HandheldPaths, write_handheld
+from raden_torch.capture.photo.handheld.handheld_file import (
+    HandheldPaths,
+    check_folder,
+    write_handheld,
+)
 from raden_torch.capture.photo.lamps import read_lamps
 from raden_torch.errors import InputError
 from tests.capture.photo.brdf.conftest import node_truth
@@ -99,7 +103,7 @@ def test_the_files_make_a_measurement(
     assert set(read_poses(paths.camera)[1]) == {path.name for path in photographs}
     lamps = read_lamps(paths.lights)
     assert sorted(sum(lamps.photographs, ())) == sorted(path.name for path in photographs)
-    line = next_command(found, paths, photographs, None).replace("\\\n", " ")
+    line = next_command(found, paths, photographs, None, "90").replace("\\\n", " ")
     words = shlex.split(line.replace("--white-factor 90", "--white-factor 90 --go-on"))
     frames = [str(p) for p in sorted(paths.frames.iterdir())]
     words = [part for w in words for part in (frames if w.endswith("*.png") else [w])]
@@ -115,18 +119,51 @@ def test_the_files_make_a_measurement(
     assert np.quantile(error, 0.9) < 0.08
 
 
+def every_fourth(found: Handheld) -> Handheld:
+    """As if these alone had been chosen."""
+    return replace(
+        found,
+        chosen=found.chosen[::4],
+        poses=found.poses[::4],
+        lamp_of=found.lamp_of[::4],
+        exposures=found.exposures[::4],
+    )
+
+
 def test_an_earlier_runs_frames_do_not_stay(found: Handheld, tmp_path: Path) -> None:
     paths = HandheldPaths(tmp_path)
-    paths.frames.mkdir()
-    (paths.frames / "older_000001.png").write_bytes(b"")
-    (paths.frames / "notes.txt").write_text("mine")
-    write_handheld(found, tmp_path)
-    names = {path.name for path in paths.frames.iterdir()}
-    assert "older_000001.png" not in names
-    assert "notes.txt" in names
+    before = {path.name for path in write_handheld(found, tmp_path) if path.parent == paths.frames}
+    (paths.frames / "mine_000001.png").write_bytes(b"")
+    few = every_fourth(found)
+    after = {path.name for path in write_handheld(few, tmp_path) if path.parent == paths.frames}
+    assert after < before
+    assert {path.name for path in paths.frames.iterdir()} == {*after, "mine_000001.png"}
     report = json.loads(paths.report.read_text())
     assert len(report["pictures"]) == len(found.looked_at)
-    assert sum(each["kept"] for each in report["pictures"]) == 30
+    assert sum(each["kept"] for each in report["pictures"]) == 8
+    assert all(each["kept"] or each["refused"] for each in report["pictures"])
+
+
+def test_a_film_without_a_good_picture_is_noted(footage: Footage, tmp_path: Path) -> None:
+    """The other clips are measured all the same, and written."""
+    film = cv2.VideoWriter(
+        str(tmp_path / "dark.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 30, (960, 540)
+    )
+    for _ in range(3):
+        film.write(np.full((540, 960, 3), 30, np.uint8))
+    film.release()
+    found = capture_handheld([tmp_path / "dark.avi", footage.paths[1]], setup())
+    assert "dark.avi: no picture of it is kept (no board found)" in found.notes
+    assert len(write_handheld(found, tmp_path / "out")) == 24
+    assert "lamp 1 (stills)" in str(found)
+
+
+def test_footage_among_the_results_is_refused(footage: Footage, raden: Command) -> None:
+    stills = footage.paths[1]
+    with pytest.raises(InputError, match="expected footage outside of"):
+        check_folder(stills.parent, [stills.parent / "frames"])
+    with pytest.raises(InputError, match="expected a folder, got a file"):
+        check_folder(footage.paths[0] / "out", [stills])
 
 
 def test_a_flash_is_found_in_the_cameras_frame(phone: Phone, tmp_path: Path) -> None:
@@ -163,6 +200,7 @@ def test_the_command_says_what_was_found(footage: Footage, raden: Command, tmp_p
         (["--lamps-stand", "camera", "--shadow", "0,0,30,0.1,0.1"], "expected a lamp that stands"),
         (["--flash", "1,2,3"], "flash: expected a lamp on the camera"),
         (["--grey", "0.1,0.1,0"], "grey patch: reflectance factor: expected above 0"),
+        (["--ball", "nan,0,15"], "expected three finite numbers"),
         (["--blur", "0"], "--blur: expected above 0 pixels"),
         (["--squares", "5x7"], "expected pictures that show the board"),
     ):

@@ -309,6 +309,32 @@ def test_chosen_pictures(ways: list[tuple[float, float]], most: int) -> None:
     assert len(chosen) == min(most, len(poses)) or len(poses) > len(chosen) >= most - 2
 
 
+def test_raw_and_deep_stills_are_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "deep.png"), np.full((40, 40, 3), 30_001, np.uint16))
+    (clip,) = clips_of([tmp_path / "deep.png"])
+    with pytest.raises(InputError, match=r"deep\.png: expected stills of 8 bits"):
+        next(pictures(clip, 0))
+
+
+def test_rays_into_the_board_and_a_single_pin(views: Callable, phone: Phone) -> None:
+    """No lamp is there, in a line; of one pin the distance is not known, and that is said."""
+    below = LAMP * [1, 1, -0.3]
+    mirror = FlatMirror(np.array([[0.0, 0], [0.1, 0], [0.1, 0.1]]))
+    poses, seen = sights_of(LAMP, phone, None, mirror, count=6)
+    shown = [project((below * [1, 1, -1])[None], phone, f) for f in hand_path(6, seed=3)]
+    wrong = [replace(s, mirrors=at) for s, at in zip(seen, shown, strict=True)]
+    with pytest.raises(InputError, match="clip: "):
+        find_lamp(setting(views, mirrors=(mirror,)), poses, wrong, TABLE, "clip")
+    foot = np.array([0.02, 0.02])
+    tip = foot + (foot - LAMP[:2]) * 0.04 / (-LAMP[2] - 0.04)
+    pin = Shadow(*foot, 0.04, *tip)
+    dark = [
+        replace(s, mirrors=np.zeros((0, 2)), squares=np.full_like(s.squares, np.nan)) for s in seen
+    ]
+    found = find_lamp(setting(views, shadows=(pin,)), poses, dark, TABLE, "clip")
+    assert found.std_deg > 3
+
+
 def test_stills_of_other_primaries_are_known(tmp_path: Path) -> None:
     """As a phone's: Display P3, here by a PNG's cICP chunk."""
     coded = cv2.imencode(".png", np.full((40, 40, 3), 100, np.uint8))[1].tobytes()
