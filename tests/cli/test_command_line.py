@@ -62,7 +62,7 @@ def test_all_commands_are_here() -> None:
     )
     steps = [" ".join(words) for words in COMMANDS if len(words) == 2]
     capture = ["calibrate", "colour", "lights", "normals", "brdf", "guide"]
-    capture += ["segment", "texture", "batch", "simulate"]
+    capture += ["handheld", "segment", "texture", "batch", "simulate"]
     catalogue = ["add", "find", "show", "get", "check"]
     assert steps == [f"capture {x}" for x in capture] + [f"catalogue {x}" for x in catalogue]
 
