@@ -101,21 +101,17 @@ def _triple(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _finite_triple(text: str) -> tuple[float, float, float]:
-    found = _triple(text)
-    if not all(map(isfinite, found)):
-        raise ValueError(f"expected three finite numbers as 0.1,0.02,30, got {text}")
-    return found
+def _finite(count: str, like: str) -> Callable[[str], Any]:
+    """What reads as many numbers as `like` has, which `count` says in words."""
+    wanted = len(like.split(","))
 
+    def read(text: str) -> tuple[float, ...]:
+        found = _tuples(text)
+        if [len(numbers) for numbers in found] != [wanted]:
+            raise ValueError(f"expected {count} finite numbers as {like}, got {text}")
+        return found[0]
 
-def _five(text: str) -> tuple[float, float, float, float, float]:
-    try:
-        a, b, c, d, e = (float(part) for part in text.split(",") if isfinite(float(part)))
-    except ValueError:
-        raise ValueError(
-            f"expected five finite numbers as 0.1,0.02,30,0.14,0.05, got {text}"
-        ) from None
-    return a, b, c, d, e
+    return read
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -276,9 +272,12 @@ def _lamp_or_file(text: str) -> tuple[float, float, float] | Path:
 
 
 Triple = Annotated[tuple[float, float, float], _read(_triple, "X,Y,Z")]
-Triples = Annotated[tuple[tuple[float, float, float], ...], _read_all(_finite_triple, "X,Y,NUMBER")]
+Triples = Annotated[
+    tuple[tuple[float, float, float], ...], _read_all(_finite("three", "0.1,0.02,30"), "X,Y,NUMBER")
+]
 Five = Annotated[
-    tuple[tuple[float, float, float, float, float], ...], _read_all(_five, "X,Y,HEIGHT,X,Y")
+    tuple[tuple[float, float, float, float, float], ...],
+    _read_all(_finite("five", "0.1,0.02,30,0.14,0.05"), "X,Y,HEIGHT,X,Y"),
 ]
 Exposed = Annotated[
     float | Literal["auto", "key"], _read(_exposed, "STOPS|auto|key", show_choices=False)

@@ -115,9 +115,7 @@ def _box(box_deg: Iterable[Sequence[float]]) -> str:
 def describe_spectral(model: SpectralBrdf) -> str:
     """Sample, bands, table and fit, one fact a line."""
     about, nm = model.provenance, model.wavelengths_nm
-    learnt = about.fit.get("learnt")
     kind = "simulated specimen" if about.simulated else "measured specimen"
-    kind = about.instrument if learnt else kind
     step = np.diff(nm)
     by = f" by {step[0]:g}" if np.allclose(step, step[0]) else ""
     lines = [

@@ -92,11 +92,11 @@ def _draw_exposure(ax: Any, found: Handheld) -> None:
 
 def _examples(found: Handheld) -> list[tuple[int, str]]:
     """Kept ones from begin to end, and one of each reason for leaving out."""
-    reasons: dict[str, int] = {}
+    first: dict[str, int] = {}
     for k, each in enumerate(found.looked_at):
         if each.refused:
-            reasons.setdefault(each.refused.split(":")[0], k)
-    bad = [(k, found.looked_at[k].refused) for k in list(reasons.values())[: _SHOWN // 2]]
+            first.setdefault(each.reason, k)
+    bad = [(k, found.looked_at[k].refused) for k in list(first.values())[: _SHOWN // 2]]
     count = min(len(found.chosen), _SHOWN - len(bad))
     some = np.unique(np.linspace(0, len(found.chosen) - 1, count).round().astype(int))
     return [(found.chosen[k], "") for k in some] + bad

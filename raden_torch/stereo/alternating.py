@@ -20,7 +20,7 @@ from torch import Tensor
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
 from raden_torch.errors import InputError
 from raden_torch.stereo.isotropic_table import fitted, lobe
-from raden_torch.stereo.observed_light import ObservedLight, sampled, shown
+from raden_torch.stereo.observed_light import GRAZING, ObservedLight, sampled, shown
 from raden_torch.stereo.solve import Known, ModelNormals, solve_by_model
 
 MIN_LAMPS = 6
@@ -110,19 +110,11 @@ def alternate(
 
 def fit_at(light: ObservedLight, normal: Tensor) -> RuntimeBrdf:
     """The BRDF that these pixels show if their normals are these `[3, P]`."""
-    count, _, pixels = light.value.shape
-    shape = (count, 3, 1, pixels)
-    n = normal[None, :, None].expand(shape)
-    to = light.light[:, :, None].expand(shape)
-    view = light.view[None, :, None].expand(shape)
+    n, to, view = light.vectors(normal)
     facing = ((n * to).sum(1) * light.strength[:, 0, None]).clamp(min=0)  # [K, 1, P]
     readings = (light.value / facing.clamp(min=1e-6))[:, :, None]
-    weight = (light.weight * facing)[:, :, None] * (facing > _GRAZING)[:, :, None]
+    weight = (light.weight * facing)[:, :, None] * (facing > GRAZING)[:, :, None]
     return fitted(n, to, view, readings, weight)
-
-
-_GRAZING = 0.05
-"""Below this irradiance, the lamp's strength times the cosine, a reading is mostly noise."""
 
 
 def _with(material: RuntimeBrdf, light: ObservedLight) -> ModelNormals:

@@ -22,18 +22,16 @@ from raden_torch.capture.photo.matt_reference import angle_deg
 from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.errors import InputError
 from raden_torch.stereo.inlay import Inlay, find_inlay
+from raden_torch.stereo.inlay_shells import InlayShells, find_shells
 from raden_torch.stereo.lamp_assignment import agreement
-from raden_torch.stereo.learnt_palette import LearntPalette, learn_palette
+from raden_torch.stereo.learnt_palette import LearntPalette
 from raden_torch.stereo.observed_light import ObservedLight, thinned
 from raden_torch.stereo.photographed import Photographed
 from raden_torch.stereo.pieces import pieces_of, shells_of
 from raden_torch.stereo.solve import SAMPLE, ModelNormals
-from raden_torch.stereo.split_pieces import split_pieces
 
 _UNEVEN_DEG = 2.0
 """Layers that vary by more within a piece are seen as such."""
-_MOVED = 0.02
-"""Where a larger share of the pixels turns out to be another shell, all are learnt once more."""
 
 
 @dataclass(frozen=True)
@@ -135,7 +133,7 @@ def capture_texture(
     """
     done = progress or (lambda share: None)
     count = _count(options)
-    given_shells = [_one(path) for path in options.models]
+    models = [_one(path) for path in options.models]
     ground = black_urushi() if options.ground is None else _one(options.ground)
     given = read_lit_set(
         photographs,
@@ -145,39 +143,31 @@ def capture_texture(
         coded=options.coded,
         progress=lambda share: done(0.1 * share),
     )
-    pieces, by_colour = pieces_of(given, options.map, count, options.smallest_px)
+    areas = pieces_of(given, options.map, count, options.smallest_px)
     surface = _surface(given, options.normals)
     correction = None if options.colour is None else read_colour(options.colour)
     seen = Photographed.of(given, correction)
-    learnt, shells, names = None, given_shells, [path.stem for path in options.models]
-    before = 0.1
-    if not options.models:
-        names, before = [f"shell{k + 1}" for k in range(count)], 0.7
-        stems = [path.name for path in photographs]
-
-        def learn(share: Callable[[float], None]) -> LearntPalette:
-            told = (seen, pieces, by_colour, surface, names, stems)
-            return learn_palette(*told, white=options.white, progress=share)
-
-        learnt = learn(lambda share: done(0.1 + 0.6 * share))
-        shells = list(learnt.models)
-    if options.map is None and count > 1:
-        old = by_colour[pieces - 1] * (pieces > 0)
-        pieces, by_colour = split_pieces(
-            seen, shells, pieces, surface, options.smallest_px, lambda share: None
-        )
-        moved = (old != by_colour[pieces - 1] * (pieces > 0)).sum() / (pieces > 0).sum()
-        if learnt is not None and moved > _MOVED:  # what they were learnt from was mixed
-            learnt = learn(lambda share: None)
-            shells = list(learnt.models)
+    names = [path.stem for path in options.models] or [f"shell{k + 1}" for k in range(count)]
+    before = 0.1 if models else 0.7
+    told = find_shells(
+        InlayShells(models, *areas),
+        seen,
+        surface,
+        names,
+        photographs,
+        white=options.white,
+        split_px=options.smallest_px if options.map is None else None,
+        progress=lambda share: done(0.1 + 0.6 * share),
+    )
+    shells, learnt = told.shells, told.learnt
     names = ["ground", *names]
     palette = Palette([ground, *shells], names if len(set(names)) == len(names) else ())
     inlay = find_inlay(
         seen,
         shells,
-        pieces,
+        told.pieces,
         surface,
-        given=None if options.map is None else by_colour,
+        given=None if options.map is None else told.shell_of,
         per_pixel=options.per_pixel,
         progress=lambda share: done(before + (1 - before) * share),
     )

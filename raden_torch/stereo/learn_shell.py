@@ -24,6 +24,7 @@ from torch import Tensor
 from raden_torch.arrays import Floats
 from raden_torch.reflectance.few_readings import GRID
 from raden_torch.reflectance.scattered import nodes_read_beside
+from raden_torch.stereo.normal_refine import cauchy_cost
 from raden_torch.stereo.observed_light import ObservedLight, sampled, shown
 from raden_torch.stereo.shell_table import MEAN, ShellTable, body, fitted, readings_deg
 from raden_torch.stereo.solve import Known, ModelNormals, solve_by_model
@@ -85,7 +86,9 @@ def learn_shell(light: ObservedLight, done: Callable[[float], None]) -> LearntSh
         done: called with the share that is done, 0…1.
     """
     few, many = sampled(light, _FEW), sampled(light, MOST_PIXELS)
-    scale = float((light.value / (light.light * _up(light)).sum(1)[:, None].clamp(min=0.1)).mean())
+    scale = float(
+        (light.value / (light.light * light.film_surface).sum(1)[:, None].clamp(min=0.1)).mean()
+    )
     scale /= MEAN
     turns = len(_BODIES) * _RACE + _GO_ON * (len(_NOISE) - _RACE)
     made = 0
@@ -154,7 +157,7 @@ def _first(table: ShellTable, light: ObservedLight) -> ModelNormals:
     """Normals by a grey body, of the photographs' brightness alone."""
     grey = replace(light, value=light.value.mean(1, keepdim=True), relative=_NOISE[0])
     material = table.material
-    flat = shown(material, _up(light)[0].expand(3, light.pixels), grey)
+    flat = shown(material, light.film_surface.expand(3, light.pixels), grey)
     scale = math.log(max(float(grey.value.mean() / flat.mean()), 1e-12))
     return solve_by_model([material], grey, known=Known((scale, _START_WIDTH), 1.0))
 
@@ -162,15 +165,7 @@ def _first(table: ShellTable, light: ObservedLight) -> ModelNormals:
 def _cost(table: ShellTable, light: ObservedLight, found: ModelNormals) -> float:
     """Of a value, in the median over the pixels."""
     off = (shown(table.material, found.normal, light) * found.gain - light.value) * light.weight
-    cost = (torch.log1p((off / 2.4) ** 2) * (2.4**2 / 2)).sum((0, 1))
-    return float((cost / light.counted.clamp(min=1)).median())
-
-
-def _up(light: ObservedLight) -> Tensor:
-    """`[1, 3, P or 1]`, the surface's normals."""
-    if light.surface is None:
-        raise ValueError("light.surface: expected normals, got None")
-    return light.surface[None]
+    return float((cauchy_cost(off) / light.counted.clamp(min=1)).median())
 
 
 def _spread_deg(normal: Tensor) -> float:

@@ -21,7 +21,8 @@ from raden_torch.stereo.observed_light import ObservedLight, shown
 
 _DIFFERENCE_DEG = 0.2
 _LONGEST_DEG = 4.0
-_CAUCHY = 2.4
+CAUCHY = 2.4
+"""Standard deviations beyond which a residual counts little."""
 _DAMPING = 1e-2
 
 
@@ -93,7 +94,7 @@ class _Problem:
         return (self.radiance(normal) * log_gain.exp() - self.light.value) * self.light.weight
 
     def cost(self, residual: Tensor, log_gain: Tensor) -> Tensor:
-        data = (torch.log1p((residual / _CAUCHY) ** 2) * (_CAUCHY**2 / 2)).sum((0, 1))
+        data = cauchy_cost(residual)
         if self.prior is None:
             return data
         return data + ((log_gain - self.prior[0]) / self.prior[1]) ** 2 / 2
@@ -109,7 +110,7 @@ class _Problem:
             turned = normal * math.cos(step) + across * math.sin(step)
             columns.append((self.residual(turned, log_gain) - residual) / step)
         columns.append(residual + light.value * light.weight)  # g p/σ
-        robust = light.usable / (1 + (residual / _CAUCHY) ** 2)
+        robust = light.usable / (1 + (residual / CAUCHY) ** 2)
         pixels = residual.shape[-1]
         columns = [c.flatten(0, 1) for c in (*columns, residual)]
         robust = robust.flatten(0, 1)
@@ -144,3 +145,8 @@ def _moved(normal: Tensor, log_gain: Tensor, step: Tensor) -> tuple[Tensor, Tens
     a, b = tangents(normal)
     moved = normal + a * step[0] + b * step[1]
     return moved / moved.norm(dim=0), log_gain + step[2]
+
+
+def cauchy_cost(residual: Tensor) -> Tensor:
+    """`[P]` of residuals `[K, C, P]` in standard deviations."""
+    return (torch.log1p((residual / CAUCHY) ** 2) * (CAUCHY**2 / 2)).sum((0, 1))

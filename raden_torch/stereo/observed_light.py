@@ -71,6 +71,20 @@ class ObservedLight:
         return self.usable / (self.relative * self.value + self.floor)
 
     @property
+    def film_surface(self) -> Tensor:
+        """`[3, P or 1]`, the surface's normals, of light whose surface is known."""
+        if self.surface is None:
+            raise ValueError("light.surface: expected normals, got None")
+        return self.surface
+
+    def vectors(self, normal: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Unit normals `[3, P]`, lights and views, `[K, 3, 1, P]` each."""
+        size = (len(self.light), 3, 1, normal.shape[-1])
+        given = (normal[None, :, None], self.light[:, :, None], self.view[None, :, None])
+        n, to, v = (m.expand(size) for m in given)
+        return n, to, v
+
+    @property
     def middle(self) -> ObservedLight:
         """One pixel, lit and seen as the pixels' mean is, without values."""
 
@@ -90,6 +104,10 @@ class ObservedLight:
         )
 
 
+GRAZING = 0.05
+"""Below this irradiance, the lamp's strength times the cosine, a reading is mostly noise."""
+
+
 def thinned(index: Tensor, most: int) -> Tensor:
     """Of pixels' numbers no more than so many, evenly."""
     return index[:: max(1, -(-len(index) // most))]
@@ -105,10 +123,7 @@ def shown(material: Reflection, normal: Tensor, light: ObservedLight) -> Tensor:
 
     Where the surface is known, `normal` is that of the film layers, and the cosine the surface's.
     """
-    count, pixels = len(light.light), normal.shape[-1]
-    size = (count, 3, 1, pixels)
-    to, v = light.light[:, :, None].expand(size), light.view[None, :, None].expand(size)
-    f = material.of_unit_vectors(normal[None, :, None].expand(size), to, v)[:, :, 0]
+    f = material.of_unit_vectors(*light.vectors(normal))[:, :, 0]
     x, y, z = normal if light.surface is None else light.surface
     # far faster than a sum over xyz
     facing = light.light[:, 0] * x + light.light[:, 1] * y + light.light[:, 2] * z

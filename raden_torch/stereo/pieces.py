@@ -30,15 +30,34 @@ def pieces_of(
     Raises:
         InputError: a map that does not fit, or no piece.
     """
-    import cv2
-
     if path is None:
         photos = [p.movedim(0, -1).numpy() for p in given.photos.images]
         index = segment(photos, shells, smallest_px=smallest_px).index.astype(np.int64)
     else:
         index = _read_map(path, given.photos.size, shells)
     index = np.where(given.mask > 0.5, index, 0)
-    pieces = np.zeros(index.shape, np.int32)
+    fewest = max(smallest_px, _FEWEST_PX)
+    pieces, shell_of = numbered(index, fewest)
+    if not len(shell_of):
+        raise InputError(
+            f"{path or 'photographs'}: expected at least one piece of {fewest} pixels within the "
+            "mask, got none"
+        )
+    return pieces, shell_of
+
+
+def numbered(
+    index: NDArray[np.int64], fewest: int = 1
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """What hangs together and is of one shell, numbered from 1 by falling area; and the shell of
+    each, from 0.
+
+    Args:
+        index: `[H, W]` shells from 1, 0 for the ground.
+        fewest: pixels; a smaller area is none.
+    """
+    import cv2
+
     sizes: list[tuple[int, int, int]] = []
     labels = {}
     for value in range(1, int(index.max(initial=0)) + 1):
@@ -47,19 +66,14 @@ def pieces_of(
         )
         areas = stats[:, cv2.CC_STAT_AREA]
         sizes += [(int(areas[k]), value, k) for k in range(1, count)]
-    fewest = max(smallest_px, _FEWEST_PX)
     kept = sorted((s for s in sizes if s[0] >= fewest), reverse=True)
-    if not kept:
-        raise InputError(
-            f"{path or 'photographs'}: expected at least one piece of {fewest} pixels within the "
-            "mask, got none"
-        )
     numbers = {value: np.zeros(labelled.max() + 1, np.int32) for value, labelled in labels.items()}
     for number, (_, value, k) in enumerate(kept, 1):
         numbers[value][k] = number
+    pieces = np.zeros(index.shape, np.int32)
     for value, labelled in labels.items():
         pieces += numbers[value][labelled]
-    return pieces, np.array([value - 1 for _, value, _ in kept])
+    return pieces, np.array([value - 1 for _, value, _ in kept], np.int64)
 
 
 def shells_of(path: Path) -> int:

@@ -24,7 +24,8 @@ from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.model.runtime_table import RuntimeLayout, angles_of
 from raden_torch.geometry import angles_from_unit_vectors
-from raden_torch.stereo.observed_light import ObservedLight
+from raden_torch.stereo.normal_refine import CAUCHY
+from raden_torch.stereo.observed_light import GRAZING, ObservedLight
 
 _NODES_DEG = (
     np.array([0, 3, 6, 9, 12, 15, 18, 21, 24, 28, 32, 36, 42, 50.0]),
@@ -32,9 +33,9 @@ _NODES_DEG = (
     np.array([0, 2.5, 5, 7.5, 10, 12.5, 15, 18, 22, 30.0]),
 )
 """Of |s|, α and |t|; the longest axis first, for the band of the normal equations."""
-SHAPE = (14, 9, 10)
-COUNT = 14 * 9 * 10
-_BAND = 2 * 9 * 10
+SHAPE = tuple(len(nodes) for nodes in _NODES_DEG)
+COUNT = math.prod(SHAPE)
+_BAND = 2 * math.prod(SHAPE[1:])
 _FLOOR = 0.01
 """In 1/sr, where the shell's mean is `MEAN`."""
 MEAN = 0.12
@@ -43,7 +44,6 @@ _CURVE = (0.03, 0.003, 0.03)
 """Standard deviation of the second derivatives of log f that are expected, per degree squared."""
 _SLOPE = (0.15, 0.03, 0.15)
 """The same of the first, per degree."""
-_CAUCHY = 2.4
 _LAYOUT = RuntimeLayout((24, 57, 57), (0.4, 0.4))
 _GRID_DEG = 2.5
 
@@ -115,14 +115,14 @@ def fitted(
     """
     from scipy.linalg import solveh_banded
 
-    facing = light.strength[:, 0] * (light.light * _surface(light)).sum(1)
+    facing = light.strength[:, 0] * (light.light * light.film_surface).sum(1)
     facing = facing.expand(-1, light.pixels)[:, None].clamp(min=0)
     sure = (
         (light.weight * facing * scale * trust.sqrt()).movedim(1, -1).flatten(0, 1).double().numpy()
     )
     shown = light.value / (facing * scale).clamp(min=1e-9)
     f = shown.movedim(1, -1).flatten(0, 1).double().numpy()
-    used = ((facing > _GRAZING) & (light.usable > 0))[:, 0].flatten().numpy()
+    used = ((facing > GRAZING) & (light.usable > 0))[:, 0].flatten().numpy()
     shares = _shares(torch.stack(_angles(light, normal)).flatten(1))[used]
     f, sure = f[used], sure[used]
     prior, logs = _smoothness(), []
@@ -136,7 +136,7 @@ def fitted(
             at = shares @ found
             lifted = np.exp(at)
             off = (lifted - _FLOOR - value) * weight
-            counts = (weight * lifted) ** 2 / (1 + (off / _CAUCHY) ** 2)
+            counts = (weight * lifted) ** 2 / (1 + (off / CAUCHY) ** 2)
             wanted = at + np.clip((value + _FLOOR - lifted) / lifted, -1, 1)
             matrix = (shares.T @ shares.multiply(counts[:, None])).toarray() + prior
             found = solveh_banded(_banded(matrix), shares.T @ (counts * wanted))
@@ -152,24 +152,10 @@ def _banded(matrix: Floats) -> Floats:
     return found
 
 
-_GRAZING = 0.05
-"""Below this irradiance a reading is mostly noise."""
-
-
-def _surface(light: ObservedLight) -> Tensor:
-    if light.surface is None:
-        raise ValueError("light.surface: expected normals, got None")
-    return light.surface
-
-
 def _angles(light: ObservedLight, normal: Tensor) -> tuple[Tensor, ...]:
     """Incidence, receiving, tilt, `[K, P]` each, in radians."""
-    shape = (len(light.light), 3, 1, normal.shape[1])
-    n, to, v = (
-        m.expand(shape)
-        for m in (normal[None, :, None], light.light[:, :, None], light.view[None, :, None])
-    )
-    return tuple(angle[:, 0, 0].double() for angle in angles_from_unit_vectors(n, to, v))
+    vectors = light.vectors(normal)
+    return tuple(angle[:, 0, 0].double() for angle in angles_from_unit_vectors(*vectors))
 
 
 def _shares(angles: Tensor) -> Any:

@@ -19,6 +19,7 @@ from torch import Tensor
 from raden_torch.arrays import Floats
 from raden_torch.brdf.materials.surface import Reflection
 from raden_torch.stereo.photographed import Photographed
+from raden_torch.stereo.pieces import numbered
 from raden_torch.stereo.solve import learnt, solve_by_model
 
 _MOST = 20_000
@@ -68,7 +69,8 @@ def split_pieces(
     whole = np.repeat(np.repeat(shell, step, 0), step, 1)[: pieces.shape[0], : pieces.shape[1]]
     beside = np.repeat(np.repeat(coarse, step, 0), step, 1)[: pieces.shape[0], : pieces.shape[1]]
     whole = np.where(beside == pieces, whole, own[pieces])
-    return _numbered(pieces, whole)
+    # neighbours of two pieces that are of one shell stay one, as they would on a map
+    return numbered(np.where(pieces > 0, whole + 1, 0))
 
 
 def _residuals(
@@ -104,26 +106,3 @@ def _parts(of: NDArray[np.bool_]) -> list[NDArray[np.bool_]]:
 
     count, labels = cv2.connectedComponents(of.astype(np.uint8), connectivity=4)
     return [labels == k for k in range(1, count)]
-
-
-def _numbered(
-    pieces: NDArray[np.int32], shell: NDArray[np.int64]
-) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """What hangs together in one piece and is of one shell, by falling area."""
-    import cv2
-
-    found: list[tuple[int, int, NDArray[np.int64]]] = []
-    for value in np.unique(shell[pieces > 0]):
-        of = ((pieces > 0) & (shell == value)).astype(np.uint8)
-        # neighbours of two pieces that are of one shell stay one, as they would on a map
-        count, labels, stats, _ = cv2.connectedComponentsWithStats(of, connectivity=4)
-        flat = np.argsort(labels.ravel(), kind="stable")
-        ends = np.cumsum(np.bincount(labels.ravel(), minlength=count))
-        for k in range(1, count):
-            area = int(stats[k, cv2.CC_STAT_AREA])
-            found.append((area, int(value), flat[ends[k - 1] : ends[k]]))
-    found.sort(key=lambda each: each[0], reverse=True)
-    numbers = np.zeros(pieces.size, np.int32)
-    for number, (_, _, place) in enumerate(found, 1):
-        numbers[place] = number
-    return numbers.reshape(pieces.shape), np.array([value for _, value, _ in found])

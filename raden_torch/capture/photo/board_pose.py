@@ -44,10 +44,14 @@ def reprojected(view: BoardView, camera: Camera, pose: Pose) -> Floats:
     """`[n, 2]` pixels at which the view's corners should be."""
     import cv2
 
-    turn, _ = cv2.Rodrigues(pose.rotation)
-    pixels, _ = cv2.projectPoints(
-        view.points_m, turn, pose.translation_m, camera.matrix, camera.distortion
-    )
+    return corner_pixels(view, camera, cv2.Rodrigues(pose.rotation)[0], pose.translation_m)
+
+
+def corner_pixels(view: BoardView, camera: Camera, turn: Any, shift: Any) -> Floats:
+    """The same of OpenCV's rotation vector and shift."""
+    import cv2
+
+    pixels, _ = cv2.projectPoints(view.points_m, turn, shift, camera.matrix, camera.distortion)
     # [n, 1, 2] in some versions of OpenCV: subtracting [n, 2] from it would broadcast to [n, n, 2]
     return np.asarray(pixels, np.float64).reshape(-1, 2)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from raden_torch.capture.photo.handheld.camera_poses import camera_and_poses, to
 from raden_torch.capture.photo.handheld.choosing import spread_out
 from raden_torch.capture.photo.handheld.footage import Clip, Picture, clips_of, pictures
 from raden_torch.capture.photo.handheld.handheld_setup import FEWEST, HandheldSetup
-from raden_torch.capture.photo.handheld.judging import Judged, judged
+from raden_torch.capture.photo.handheld.judging import Judged, judged, reasons
 from raden_torch.capture.photo.handheld.lamp_fit import FoundLamp, LampSetting, find_lamp
 from raden_torch.capture.photo.handheld.lamp_sights import Sights, sights, white_squares_m
 from raden_torch.capture.photo.handheld.response_fit import Response
@@ -59,15 +59,13 @@ class Handheld:
     response: Response | None
     exposures: Floats
     setup: HandheldSetup
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
     @property
     def lit(self) -> list[str]:
         """Of each lamp where it shone, as " (walk1.mp4)"; "" of one on the camera."""
-        if self.setup.lamp_on_camera:
-            return [""]
-        clips = sorted({each.clip for each in self.kept})
-        return [f" ({self.clips[clip].name})" for clip in clips]
+        clips = _lit_by(self.setup, [each.clip for each in self.kept])
+        return ["" if clip is None else f" ({self.clips[clip].name})" for clip in clips]
 
     @property
     def kept(self) -> list[Judged]:
@@ -82,12 +80,7 @@ class Handheld:
         return pose.rotation @ at + pose.translation_m
 
     def __str__(self) -> str:
-        reasons: dict[str, int] = {}
-        for each in self.looked_at:
-            if each.refused:
-                why = each.refused.split(":")[0]
-                reasons[why] = reasons.get(why, 0) + 1
-        left_out = ", ".join(f"{count} {why}" for why, count in reasons.items())
+        left_out = ", ".join(f"{count} {why}" for why, count in reasons(self.looked_at))
         lines = [
             f"{len(self.chosen)} photographs chosen of {len(self.looked_at)} that were looked at"
             + (f" (left out: {left_out})" if left_out else "")
@@ -306,9 +299,9 @@ def _without_pictures(
     for place, clip in enumerate(clips):
         if any(looked[k].clip == place for k in chosen):
             continue
-        reasons = [each.refused.split(":")[0] for each in looked if each.clip == place]
-        most = max(set(reasons), key=reasons.count) if reasons else "nothing in it"
-        notes.append(f"{clip.name}: no picture of it is kept ({most or 'others show as much'})")
+        most = reasons(each for each in looked if each.clip == place)
+        why = most[0][0] if most else "others show as much"
+        notes.append(f"{clip.name}: no picture of it is kept ({why})")
     return notes
 
 

@@ -1,4 +1,4 @@
-"""Directions: what lies across one, and the angle between two."""
+"""Directions: what lies across one, the angle between two, and where rays meet."""
 
 from __future__ import annotations
 
@@ -19,3 +19,22 @@ def apart_deg(a: Floats, b: Floats) -> Floats:
     exact also where they are nearly one or opposite."""
     across, along = (np.linalg.norm(a + sign * b, axis=-1) for sign in (-1, 1))
     return np.asarray(np.degrees(2 * np.arctan2(across, along)))
+
+
+def nearest_points(
+    point: Floats, direction: Floats, weight: Floats | None = None
+) -> tuple[Floats, Floats]:
+    """The points `[K, 3]` nearest to B rays `[K, B, 3]` each, and how far these pass, `[K, B]`.
+
+    Args:
+        direction: unit vectors.
+        weight: `[K, B]` of the squared distances; alike where None.
+    """
+    across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
+    share = np.ones(point.shape[:-1]) if weight is None else weight
+    left = (share[..., None, None] * across).sum(1)
+    right = (share[..., None, None] * (across @ point[..., None])).sum(1)
+    # of parallel rays, the point nearest to the origin
+    nearest = (np.linalg.pinv(left, hermitian=True) @ right)[..., 0]
+    off = (across @ (nearest[:, None] - point)[..., None])[..., 0]
+    return nearest, np.linalg.norm(off, axis=-1)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.ball import Ball
-from raden_torch.capture.photo.directions import apart_deg
+from raden_torch.capture.photo.directions import apart_deg, nearest_points
 from raden_torch.capture.photo.highlight import Highlight
 from raden_torch.capture.photo.result_file import read_result, write_result
 from raden_torch.errors import InputError
@@ -195,7 +195,8 @@ def lamps_from_balls(
             "away for positions; directions only"
         )
         return replace(lamps, notes=(note,))
-    position, miss = _nearest_points(point, direction)
+    position, passing = nearest_points(point, direction)
+    miss = np.sqrt((passing**2).mean(1))
     middle = np.mean([ball.centre for ball in balls], axis=0)
     to_lamp = position - middle
     if bool(((to_lamp * mean).sum(1) <= 0).any()):
@@ -206,15 +207,6 @@ def lamps_from_balls(
         )
     to_lamp = to_lamp / np.linalg.norm(to_lamp, axis=1, keepdims=True)
     return replace(lamps, direction=to_lamp, position=position, miss=miss)
-
-
-def _nearest_points(point: Floats, direction: Floats) -> tuple[Floats, Floats]:
-    """The point `[K, 3]` nearest to B rays `[K, B, 3]`, and its rms distance from them `[K]`."""
-    across = np.eye(3) - direction[..., :, None] * direction[..., None, :]
-    right = (across @ point[..., None]).sum(1)
-    nearest = np.linalg.solve(across.sum(1), right)[..., 0]
-    off = (across @ (nearest[:, None] - point)[..., None])[..., 0]
-    return nearest, np.sqrt((off**2).sum(-1).mean(1))
 
 
 def write_lamps(

@@ -62,18 +62,21 @@ class ResponseFit:
 
 def sphere_normals(ball: Ball, size: tuple[int, int], rim: float = RIM) -> tuple[Tensor, Tensor]:
     """`[1, 3, H, W]` surface normals of a sphere and `[1, 1, H, W]` bool where they hold."""
+    normals, inside, _ = sphere_maps(ball, size, rim)
+    return normals, inside
+
+
+def sphere_maps(
+    ball: Ball, size: tuple[int, int], rim: float = RIM
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The same, and `[1, 3, H, W]` unit directions from it to the viewer, 0 beside it."""
     y, x = np.mgrid[: size[0], : size[1]]
-    _, normal, _ = ball.surface(x, y)
+    _, normal, view = ball.surface(x, y)
     inside = torch.from_numpy(ball.inside(size, rim) & np.isfinite(normal).all(-1))[None, None]
-    normals = torch.from_numpy(np.nan_to_num(normal)).float().movedim(-1, 0)[None]
-    return normals * inside, inside
-
-
-def sphere_views(ball: Ball, size: tuple[int, int]) -> Tensor:
-    """`[1, 3, H, W]` unit directions from a sphere to the viewer; 0 beside it."""
-    y, x = np.mgrid[: size[0], : size[1]]
-    _, _, view = ball.surface(x, y)
-    return torch.from_numpy(np.nan_to_num(view)).float().movedim(-1, 0)[None]
+    normals, views = (
+        torch.from_numpy(np.nan_to_num(m)).float().movedim(-1, 0)[None] for m in (normal, view)
+    )
+    return normals * inside, inside, views
 
 
 def relative_intensities(

@@ -20,8 +20,7 @@ from raden_torch.capture.photo.matt_reference import (
     ResponseFit,
     fit_response,
     relative_intensities,
-    sphere_normals,
-    sphere_views,
+    sphere_maps,
 )
 from raden_torch.capture.photo.photo_set import (
     PhotoSet,
@@ -142,9 +141,8 @@ def _read(
     if reference.shape == "sphere":
         # of any radius: the normals that a pixel sees do not depend on it
         ball = ball_from_mask(lens.straight(mask), matrix=lens.matrix, name=reference.mask)
-        normal, inside = sphere_normals(ball, photos.size)
-        view = None if lens.matrix is None else sphere_views(ball, photos.size)
-        return _Matt(photos, normal, inside, view)
+        normal, inside, view = sphere_maps(ball, photos.size)
+        return _Matt(photos, normal, inside, None if lens.matrix is None else view)
     towards_camera = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1)
     return _Matt(photos, towards_camera, torch.from_numpy(mask > 0.5)[None, None])
 

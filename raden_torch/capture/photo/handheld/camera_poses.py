@@ -18,7 +18,7 @@ from raden_torch.capture.photo.handheld.card_checks import (
     zoomed,
 )
 from raden_torch.capture.photo.handheld.handheld_setup import FEWEST, HandheldSetup
-from raden_torch.capture.photo.handheld.judging import Judged
+from raden_torch.capture.photo.handheld.judging import Judged, reasons
 from raden_torch.errors import InputError
 
 _CALIBRATED_ON = 40
@@ -63,12 +63,7 @@ def camera_and_poses(
 
 
 def too_few(looked: Sequence[Judged], count: int) -> str:
-    reasons: dict[str, int] = {}
-    for each in looked:
-        if each.refused:
-            key = each.refused.split(":")[0].split(" by ")[0]
-            reasons[key] = reasons.get(key, 0) + 1
-    most = sorted(reasons.items(), key=lambda item: -item[1])[:3]
+    most = reasons(looked)[:3]
     said = "; ".join(f"{number} of {len(looked)}: {reason}" for reason, number in most)
     return (
         f"{looked[0].name} …: expected {FEWEST} pictures or more that are sharp and show board "

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.board import BoardView
-from raden_torch.capture.photo.board_pose import reprojected
+from raden_torch.capture.photo.board_pose import corner_pixels, reprojected
 from raden_torch.capture.photo.camera import Camera, Pose
 
 MOST_RMS_PX = 1.5
@@ -66,20 +65,20 @@ def bent(heights: Floats, square_m: float) -> str | None:
 def zoom_of(view: BoardView, camera: Camera, pose: Pose) -> tuple[float, float]:
     """By what factor the focal length differs from the camera's in one picture, and the standard
     deviation of that; (1, ∞) where the board faces the camera too much to tell."""
+    import cv2
     from scipy.optimize import least_squares
 
     if np.hypot(*pose.rotation[:2, 2]) < np.sin(np.radians(_LEANS_DEG)):
         return 1.0, np.inf
-    turn, scale = _rotation_vector(pose.rotation), np.linalg.norm(pose.translation_m)
+    scale = np.linalg.norm(pose.translation_m)
 
     def residual(p: Floats) -> Floats:
         matrix = camera.matrix.copy()
         matrix[:2, :2] *= 1 + p[6]
         zoomed = replace(camera, matrix=matrix)
-        there = Pose(_rotation(p[:3]), p[3:6] * scale, 0.0, 0)
-        return np.ravel(reprojected(view, zoomed, there) - view.pixels)
+        return np.ravel(corner_pixels(view, zoomed, p[:3], p[3:6] * scale) - view.pixels)
 
-    start = np.r_[turn, pose.translation_m / scale, 0.0]
+    start = np.r_[np.ravel(cv2.Rodrigues(pose.rotation)[0]), pose.translation_m / scale, 0.0]
     found = least_squares(residual, start, method="lm")
     freedom = max(len(found.fun) - 7, 1)
     # a corner is found to 0.1 px at best, whatever the residuals of few say
@@ -95,15 +94,3 @@ def zoomed(factor: float, std: float) -> str | None:
     return (
         f"the zoom or focus changed: its focal length is {100 * (factor - 1):+.1f} % of the others'"
     )
-
-
-def _rotation_vector(rotation: Floats) -> Floats:
-    import cv2
-
-    return np.ravel(cv2.Rodrigues(rotation)[0]).astype(np.float64)
-
-
-def _rotation(vector: Any) -> Floats:
-    import cv2
-
-    return np.asarray(cv2.Rodrigues(np.asarray(vector, np.float64))[0], np.float64)

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,23 +151,20 @@ def _still(path: Path, place: int, number: int) -> Picture:
     return Picture(path.name, place, number, pixels, photo.settings, is_srgb)
 
 
-class _opened:
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
     """A video while it is read."""
+    import cv2
 
-    def __init__(self, path: Path) -> None:
-        import cv2
-
-        self._path, self._frames = path, cv2.VideoCapture(str(path))
-
-    def __enter__(self) -> cv2.VideoCapture:  # type: ignore[name-defined]  # noqa: F821
-        if not self._frames.isOpened():
+    frames = cv2.VideoCapture(str(path))
+    try:
+        if not frames.isOpened():
             raise InputError(
-                f"{self._path}: expected a video that OpenCV's decoders read, got another file"
+                f"{path}: expected a video that OpenCV's decoders read, got another file"
             )
-        return self._frames
-
-    def __exit__(self, *_: object) -> None:
-        self._frames.release()
+        yield frames
+    finally:
+        frames.release()
 
 
 def _by_number(path: Path) -> tuple[list[int], str]:

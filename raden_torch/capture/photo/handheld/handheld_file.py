@@ -184,7 +184,7 @@ def check_folder(folder: Path, footage: Sequence[Path]) -> None:
     existing = next(p for p in (folder, *folder.resolve().parents) if p.exists())
     if not existing.is_dir():
         raise InputError(f"{folder}: expected a folder, got a file in its place")
-    check_writable((existing if existing != folder else folder) / "camera.json")
+    check_writable(existing / "camera.json")
 
 
 def _lamps(found: Handheld) -> Lamps:

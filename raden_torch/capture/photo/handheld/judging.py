@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -41,6 +42,11 @@ class Judged:
     blur: Blur | None
     refused: str
     thumbnail: NDArray[np.uint8]
+
+    @property
+    def reason(self) -> str:
+        """Why it is not kept, without its numbers."""
+        return self.refused.split(":")[0]
 
     def because(self, reason: str) -> Judged:
         """The same, not kept."""
@@ -88,6 +94,11 @@ def judged(
             f"{found[0].refused}"
         )
     return found
+
+
+def reasons(looked: Iterable[Judged]) -> list[tuple[str, int]]:
+    """Why pictures are not kept, and how many for each reason, the most frequent first."""
+    return Counter(each.reason for each in looked if each.refused).most_common()
 
 
 def _sharpest(all_of: Iterator[Picture], group: int) -> Iterator[Picture]:

@@ -27,7 +27,7 @@ from raden_torch.capture.photo.handheld.lamp_sights import (
     Sights,
     white_squares_m,
 )
-from raden_torch.capture.photo.handheld.mirror_geometry import mirror_points, nearest_point, unit
+from raden_torch.capture.photo.handheld.mirror_geometry import meeting_point, mirror_points, unit
 from raden_torch.errors import InputError
 
 _IMAGE_PX, _SHADOW_M, _SAID_M, _LEVEL = 0.3, 5e-4, 3e-3, 0.03
@@ -167,7 +167,7 @@ class _Fit:
         if self.setting.said_m is not None:
             return [np.r_[self.setting.said_m, rest]]
         point, way = self._rays()
-        meeting = nearest_point(point, way)
+        meeting = meeting_point(point, way)
         if self.setting.moves:
             return [np.r_[meeting, rest]]
         middle, towards = np.median(point, axis=0), np.median(way, axis=0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from raden_torch.arrays import Floats
+from raden_torch.capture.photo.directions import nearest_points
 
 
 def mirror_points(centre: Floats, radius: float, eye: Floats, lamp: Floats) -> Floats:
@@ -24,18 +25,14 @@ def mirror_points(centre: Floats, radius: float, eye: Floats, lamp: Floats) -> F
     return np.asarray(centre + radius * normal)
 
 
-def nearest_point(point: Floats, way: Floats) -> Floats:
+def meeting_point(point: Floats, way: Floats) -> Floats:
     """The point `[3]` nearest to rays `[R, 3]`, by the sum of distances: Weiszfeld's weights."""
-    across = np.eye(3) - way[:, :, None] * way[:, None, :]
-    weight = np.ones(len(point))
-    nearest = np.zeros(3)
+    weight = np.ones((1, len(point)))
+    nearest = np.zeros((1, 3))
     for _ in range(20):
-        left = (across * weight[:, None, None]).sum(axis=0)
-        right = np.einsum("r,rij,rj->i", weight, across, point)
-        nearest = np.linalg.lstsq(left, right, rcond=None)[0]
-        miss = np.linalg.norm(np.einsum("rij,rj->ri", across, nearest - point), axis=1)
+        nearest, miss = nearest_points(point[None], way[None], weight)
         weight = 1 / np.maximum(miss, 1e-3)
-    return np.asarray(nearest)
+    return nearest[0]
 
 
 def unit(v: Floats) -> Floats:
