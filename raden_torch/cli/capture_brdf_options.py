@@ -41,15 +41,31 @@ class SampleOptions:
     """radius of a sphere or cylinder in mm; needed with --camera"""
     axis: Axis | None = None
     """axis of a cylinder that lies on the board: "x,y x,y" below it, metres"""
+    axis_std: float | None = None
+    """standard deviation of these two points across the axis, mm; by default 0.2"""
+    radius_std: float | None = None
+    """standard deviation of --radius, mm; by default 0.05"""
 
     @property
     def sample(self) -> SampleSpec:
         import numpy as np
 
-        from raden_torch.capture.photo.brdf.capture_settings import SampleSpec
+        from raden_torch.capture.photo.brdf.capture_settings import (
+            AXIS_STD_MM,
+            RADIUS_STD_MM,
+            SampleSpec,
+        )
 
         regions, axis = tuple(np.array(region) for region in self.region), _array(self.axis)
-        return SampleSpec(self.shape, self.mask, regions or None, self.radius_mm, axis)
+        return SampleSpec(
+            self.shape,
+            self.mask,
+            regions or None,
+            self.radius_mm,
+            axis,
+            AXIS_STD_MM if self.axis_std is None else self.axis_std,
+            RADIUS_STD_MM if self.radius_std is None else self.radius_std,
+        )
 
 
 @Parameter(name="*", group=Group("The white reference", sort_key=3))

@@ -23,9 +23,9 @@ _ROUND = 0.02
 """An outline may leave its circle by this share of the radius (or 1.5 pixels), one point in 20 by
 more."""
 _SMALLEST_PX = 8.0
-_ALIKE_PX = 4.0
+ALIKE_PX = 4.0
 """Along an outline: so much of it is wrong alike."""
-_DRAWN_PX = 0.1
+DRAWN_PX = 0.1
 """Of where a mask's edge is drawn all around, which its roundness does not tell."""
 _BEYOND_PX = 2.0
 """How far outside of a mask's last white pixels its edge is looked for."""
@@ -84,8 +84,8 @@ class Ball:
     def std_px(self) -> float:
         """Standard deviation of the centre in each direction, and about of the radius: by how far
         the outline leaves its circle, and by where it was drawn."""
-        by_edge = self.rms_px * np.sqrt(_ALIKE_PX / (np.pi * self.radius_px))
-        return float(np.hypot(by_edge, _DRAWN_PX))
+        by_edge = self.rms_px * np.sqrt(ALIKE_PX / (np.pi * self.radius_px))
+        return float(np.hypot(by_edge, DRAWN_PX))
 
     def inside(self, size: tuple[int, int], share: float = 1.0) -> NDArray[np.bool_]:
         """`[H, W]`, the pixels within this share of its radius."""

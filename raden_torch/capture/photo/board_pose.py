@@ -15,6 +15,8 @@ from raden_torch.errors import InputError
 
 _STRAY_PX = 1.0
 """A corner so far off, and three times the median, is left out."""
+_TURN = 1e-4
+"""Radians by which a pose is turned, and over its distance shifted, to see what that does."""
 
 
 def board_pose(view: BoardView, camera: Camera) -> Pose:
@@ -61,11 +63,30 @@ def pose_of(view: BoardView, camera: Camera, turn: NDArray[Any], shift: NDArray[
     import cv2
 
     rotation, _ = cv2.Rodrigues(turn)
-    place = np.asarray(rotation, np.float64), np.ravel(shift).astype(np.float64)
-    pose = Pose(*place, 0.0, len(view.ids))
+    pose = Pose(
+        np.asarray(rotation, np.float64), np.ravel(shift).astype(np.float64), 0.0, len(view.ids)
+    )
     off = reprojected(view, camera, pose) - view.pixels
     rms = float(np.sqrt((off**2).sum(axis=1).mean()))
-    return Pose(*place, rms, len(view.ids))
+    return replace(pose, rms_px=rms, covariance=_covariance(view, camera, pose, off))
+
+
+def _covariance(view: BoardView, camera: Camera, pose: Pose, off: Floats) -> Floats:
+    """`[6, 6]`, if each corner is off by itself and by as much as the others (least squares)."""
+    steps = np.repeat([_TURN, _TURN * float(np.linalg.norm(pose.translation_m))], 3)
+    slopes = np.stack(
+        [
+            np.ravel(
+                reprojected(view, camera, pose.moved(step))
+                - reprojected(view, camera, pose.moved(-step))
+            )
+            for step in np.diag(steps)
+        ],
+        axis=1,
+    )  # of two steps
+    freedom = max(off.size - len(steps), 1)
+    inverse = np.linalg.pinv(slopes.T @ slopes, hermitian=True)
+    return np.asarray((off**2).sum() / freedom * inverse * 4 * np.outer(steps, steps))
 
 
 def _solved(view: BoardView, camera: Camera) -> Pose:

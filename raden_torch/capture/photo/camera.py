@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from raden_torch.errors import InputError
 from raden_torch.schema import Count, Finite, Matrix, NotNegative, Triple
 
 KIND = "camera"
+_Six = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +55,33 @@ class Pose:
         translation_m: `[3]`.
         rms_px: re-projection error, √(mean of the squared distances).
         corners: that the pose was fitted to.
+        covariance: `[6, 6]` of a small turn of the board about the camera's axes (radians) and of
+            `translation_m`; None where nothing is known.
     """
 
     rotation: Floats
     translation_m: Floats
     rms_px: float
     corners: int
+    covariance: Floats | None = None
+
+    def moved(self, by: Floats) -> Pose:
+        """With the board turned about the camera's axes, by small angles in radians, and shifted:
+        `[6]` as for `covariance`."""
+        import cv2
+
+        turn = cv2.Rodrigues(np.asarray(by[:3], np.float64))[0]
+        return replace(
+            self, rotation=turn @ self.rotation, translation_m=self.translation_m + by[3:]
+        )
+
+    def errors(self) -> list[Floats]:
+        """`[6]` each: one standard deviation of each of six independent errors that `moved` takes;
+        none where nothing is known."""
+        if self.covariance is None:
+            return []
+        variance, axes = np.linalg.eigh(self.covariance)
+        return list((axes * np.sqrt(variance.clip(min=0))).T)
 
 
 class PoseEntry(Struct):
@@ -70,6 +92,7 @@ class PoseEntry(Struct):
     reprojection_rms_px: NotNegative
     rotation_board_to_camera: Matrix
     translation_board_to_camera_m: Triple
+    turn_and_translation_covariance: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
 
 
 class CameraFile(Struct):
@@ -169,6 +192,11 @@ def write_camera(
             "reprojection_rms_px": pose.rms_px,
             "rotation_board_to_camera": pose.rotation,
             "translation_board_to_camera_m": pose.translation_m,
+            **(
+                {}
+                if pose.covariance is None
+                else {"turn_and_translation_covariance": pose.covariance}
+            ),
         }
         for view, pose in zip(views, poses, strict=True)
     ]
@@ -190,6 +218,9 @@ def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
             np.array(pose.translation_board_to_camera_m),
             pose.reprojection_rms_px,
             pose.corners,
+            None
+            if pose.turn_and_translation_covariance is None
+            else np.array(pose.turn_and_translation_covariance),
         )
         for pose in found.poses
     }

@@ -28,6 +28,7 @@ from raden_torch.capture.photo.brdf.photo_passes import (
 )
 from raden_torch.capture.photo.brdf.photo_series import PhotoSeries, read_series
 from raden_torch.capture.photo.brdf.photo_white import WhiteFactor
+from raden_torch.capture.photo.brdf.placement_errors import PlacementErrors
 from raden_torch.capture.photo.brdf.sample_moves import SamplesByShot
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
 from raden_torch.capture.photo.brdf.seen_surface import (
@@ -150,7 +151,8 @@ def capture_brdf(
     least = 0.0 if scattered else LEAST_COVERAGE
     cover = _checked_coverage(found, grid, series, sample, first.shapes[0], least)
     colour = NodeColour.of(setup.colour, found.scale, series.colour)
-    shared = shared_errors(by_shot, leans, found, series, colour, grid, outline_px=outline_px)
+    placement = PlacementErrors.of(sample, outline_px)
+    shared = shared_errors(by_shot, leans, found, series, colour, grid, placement)
     budget = budget_of(found, colour, shared, scale_std=factor.relative_std)
     about = _metadata(metadata or Metadata(), sample, found, cover, factor)
     return CapturedBrdf(

@@ -40,6 +40,7 @@ from raden_torch.capture.photo.brdf.seen_surface import (
     seen_surface,
 )
 from raden_torch.capture.photo.brdf.shots import Shot, shots_of
+from raden_torch.capture.photo.brdf.white_sight import WhiteSight
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.colour import ColourCorrection
 from raden_torch.capture.photo.development import Development
@@ -192,6 +193,9 @@ def test_photographs_stacks_and_lamps_are_told_apart() -> None:
         shots_of(files, short, lamps, {})
 
 
+SIGHT = WhiteSight(
+    rays_through(None, np.zeros(1), np.zeros(1)), Plane(np.zeros((1, 3)), np.eye(3)[2]), False
+)
 PARTS = np.stack(np.divmod(np.arange(32.0), 4), axis=1)
 
 
@@ -222,7 +226,7 @@ def test_a_shot_without_a_white_takes_its_lamp_s_intensity() -> None:
     lamps = [Lamp(LEAN, None, p * RGB, 0.1, ACROSS) for p in power]
     flat = np.zeros((32, 3))
     readings: list[WhiteReading | None] = [
-        WhiteReading(0.3 * p * RGB, np.full(3, 0.01), D65_XYZ, flat, PARTS, np.zeros(2))
+        WhiteReading(0.3 * p * RGB, np.full(3, 0.01), D65_XYZ, flat, PARTS, np.zeros(2), SIGHT)
         for p in power
     ]
     readings[2] = None
@@ -241,7 +245,9 @@ def test_stains_of_the_white_are_common_and_shadows_are_not() -> None:
     random = np.random.default_rng(0)
     stains, own = 0.02 * random.normal(size=(32, 3)), 0.005 * random.normal(size=(6, 32, 3))
     readings = [
-        WhiteReading(0.5 * RGB, np.full(3, 0.01), D65_XYZ, stains + part, 2 * PARTS, np.zeros(2))
+        WhiteReading(
+            0.5 * RGB, np.full(3, 0.01), D65_XYZ, stains + part, 2 * PARTS, np.zeros(2), SIGHT
+        )
         for part in own
     ]
     lamps = [Lamp(LEAN, None, RGB, 0.1, ACROSS)] * 6
@@ -285,7 +291,9 @@ def test_a_lamp_that_leans_changes_the_light_on_the_white() -> None:
 
 def of_white(rgb: np.ndarray) -> Scale:
     none = np.zeros(3), np.zeros((1, 2))
-    return Scale(rgb[None], np.full((1, 3), 0.01), *none, 0.9 * D65_XYZ, np.ones(1, bool), ())
+    return Scale(
+        rgb[None], np.full((1, 3), 0.01), *none, 0.9 * D65_XYZ, np.ones(1, bool), (), (None,)
+    )
 
 
 def test_the_white_comes_out_as_its_own_factor() -> None:
@@ -363,7 +371,9 @@ def test_a_shot_that_is_brighter_in_all_cells(factor: float) -> None:
         x = (random.random((len(cells), 3)) - 0.5).astype(np.float32)
         kept.add(cells, k, x, y.astype(np.float32), np.zeros(len(cells), np.intp))
     none = np.zeros(3), np.zeros((8, 2))
-    scale = Scale(np.ones((8, 3)), np.full((8, 3), 0.005), *none, D65_XYZ, np.ones(8, bool), ())
+    scale = Scale(
+        np.ones((8, 3)), np.full((8, 3), 0.005), *none, D65_XYZ, np.ones(8, bool), (), (None,) * 8
+    )
     lean = np.zeros((len(kept.cell), 2), np.float32)
     found = agreement(kept, robust_fit(kept, grid), scale, lean, np.full(8, 0.1))
     assert (found.cells == 100).all()

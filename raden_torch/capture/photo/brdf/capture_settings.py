@@ -17,6 +17,11 @@ from raden_torch.arrays import Floats
 from raden_torch.capture.photo.development import Development
 from raden_torch.errors import InputError
 
+AXIS_STD_MM = 0.2
+"""Of where a rod lies on the board, laid along its lines by eye."""
+RADIUS_STD_MM = 0.05
+"""Of a radius by a caliper."""
+
 
 @dataclass(frozen=True, eq=False)
 class CaptureSetup:
@@ -64,6 +69,8 @@ class SampleSpec:
         radius_mm: of a sphere or cylinder, mm, above 0; needed with a camera.
         axis_m: `[2, 2]` two points on the board, metres, above which a cylinder's axis runs, lying
             on it; None: the axis is found from the mask's straight edges.
+        axis_std_mm: standard deviation of each of these points across the axis, mm, 0 or more.
+        radius_std_mm: of `radius_mm`, mm, 0 or more.
     """
 
     shape: Literal["sphere", "plane", "cylinder"] | str
@@ -71,6 +78,8 @@ class SampleSpec:
     region_m: Floats | tuple[Floats, ...] | None = None
     radius_mm: float | None = None
     axis_m: Floats | None = None
+    axis_std_mm: float = AXIS_STD_MM
+    radius_std_mm: float = RADIUS_STD_MM
 
     def __post_init__(self) -> None:
         if self.shape not in ("sphere", "plane", "cylinder"):
@@ -81,6 +90,12 @@ class SampleSpec:
             raise InputError("cylinder: expected a mask that is white on it, got none")
         if self.radius_mm is not None and not 0 < self.radius_mm < np.inf:
             raise InputError(f"{self.shape}: radius: expected above 0 mm, got {self.radius_mm} mm")
+        for what, std in (("axis", self.axis_std_mm), ("radius", self.radius_std_mm)):
+            if not 0 <= std < np.inf:
+                raise InputError(
+                    f"{self.shape}: standard deviation of the {what}: expected 0 mm or more, got "
+                    f"{std} mm"
+                )
 
     @property
     def regions_m(self) -> tuple[Floats, ...]:

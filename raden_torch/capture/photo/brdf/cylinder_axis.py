@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.arrays import Floats
+from raden_torch.arrays import Bools, Floats
+from raden_torch.capture.photo.ball import ALIKE_PX, DRAWN_PX
 from raden_torch.capture.photo.brdf.rays import (
     MM,
     Y_UP,
@@ -22,12 +23,17 @@ from raden_torch.errors import InputError
 _ENDS = 0.08
 """Share of the length left out at each end: round or slanted there."""
 _STRAIGHT_PX = 1.5
+"""From an edge's line: farther points are of the ends, which look round."""
+_ROUNDS = 20
+_MOSTLY = 0.5
+"""Share of them that have to lie on it."""
 
 
 def rod_from_mask(
     mask: NDArray[Any], camera: Camera | None, radius_mm: float | None, name: str
-) -> Cylinder:
-    """The cylinder whose outline a mask is, longer than it is wide.
+) -> tuple[Cylinder, float]:
+    """The cylinder whose outline a mask is, longer than it is wide, and the standard deviation of
+    its edges, pixels.
 
     With a camera, each straight edge and the camera's centre span a plane that touches the
     cylinder; the axis is parallel to both and a radius away from each. Without one the axis is
@@ -47,16 +53,19 @@ def rod_from_mask(
     cut = _ENDS * (high - low)
     straight = (place > low + cut) & (place < high - cut)
     side = (outline - middle) @ across
-    edges = [outline[straight & (side * sign > 0)] + 0.5 * sign * across for sign in (-1, 1)]
+    # the last white pixel's centre lies up to one pixel of a row or column inside of the edge
+    out = 0.5 * abs(along).max() * across
+    edges = [outline[straight & (side * sign > 0)] + sign * out for sign in (-1, 1)]
     if min(map(len, edges)) < 20 or high - low < np.ptp(side):
         raise InputError(
             f"{name}: expected a mask that is white on a cylinder longer than it is wide, got no "
             "two long straight edges"
         )
+    std_px = float(np.sqrt(np.mean([_std_px(edge, name) ** 2 for edge in edges])))
     if camera is None:
-        return _parallel(edges, middle, along, (low + cut, high - cut), name)
+        return _parallel(edges, middle, along, (low + cut, high - cut), name), std_px
     assert radius_mm is not None
-    return _perspective(edges, camera, radius_mm, name)
+    return _perspective(edges, camera, radius_mm, name), std_px
 
 
 def rod_on_board(
@@ -90,25 +99,52 @@ def _outline(mask: NDArray[Any], name: str) -> tuple[Floats, Floats, Floats]:
     return outline[free], corners.mean(axis=0).astype(np.float64), longest / np.hypot(*longest)
 
 
-def _line(points: Floats, name: str) -> tuple[Floats, Floats]:
-    """A point and the direction of the line through points `[n, 2]`."""
-    import cv2
+def _straight(points: Floats, name: str, scale: float = 1.0) -> Bools:
+    """`[n]`: which of an edge's points `[n, 2]` lie on its line: from that of their middle half, on
+    and on.
 
-    fitted = cv2.fitLine(points.astype(np.float32), cv2.DIST_HUBER, 0, 0.001, 0.001).ravel()
-    direction, point = fitted[:2].astype(np.float64), fitted[2:].astype(np.float64)
-    off = abs((points - point) @ np.array([-direction[1], direction[0]]))
-    if float(np.quantile(off, 0.9)) > _STRAIGHT_PX:
+    Args:
+        scale: pixels a unit of the points.
+    """
+    middle, along = _line(points)
+    low, high = np.quantile((points - middle) @ along, [0.25, 0.75])
+    there = abs((points - middle) @ along - (low + high) / 2) <= (high - low) / 2
+    for _ in range(_ROUNDS):
+        point, direction = _line(points[there])
+        off = scale * abs((points - point) @ np.array([-direction[1], direction[0]]))
+        there = off < _STRAIGHT_PX
+        if there.sum() < 2:
+            break
+    if there.mean() < _MOSTLY:
         raise InputError(
             f"{name}: its long edges are not straight (off by {np.quantile(off, 0.9):.1f} pixels); "
             "mask the cylinder alone"
         )
-    return point, direction
+    return np.asarray(there)
+
+
+def _std_px(edge: Floats, name: str) -> float:
+    """Standard deviation of where an edge is, and its ends: by how far its points leave its line,
+    by where it was drawn, and by what pixels tell: an edge that runs along a row of them may lie
+    anywhere in it, one that crosses several is known by where it does."""
+    points = edge[_straight(edge, name)]
+    point, direction = _line(points)
+    off = (points - point) @ np.array([-direction[1], direction[0]])
+    by_points = off.std() * np.sqrt(ALIKE_PX / len(points))
+    crossed = np.ptp(points, axis=0).min()
+    return float(np.linalg.norm([by_points, DRAWN_PX, 1 / np.sqrt(12) / max(crossed, 1.0)]))
+
+
+def _line(points: Floats) -> tuple[Floats, Floats]:
+    """A point and the direction of the line through points `[n, 2]`."""
+    middle = points.mean(axis=0)
+    return middle, np.linalg.svd(points - middle, full_matrices=False)[2][0]
 
 
 def _parallel(
     edges: list[Floats], middle: Floats, along: Floats, reach: tuple[float, float], name: str
 ) -> Cylinder:
-    lines = [_line(edge, name) for edge in edges]
+    lines = [_line(edge[_straight(edge, name)]) for edge in edges]
     directions = [d * np.sign(d @ along) for _, d in lines]
     axis = np.mean(directions, axis=0)
     axis /= np.linalg.norm(axis)
@@ -128,7 +164,7 @@ def _perspective(edges: list[Floats], camera: Camera, radius: float, name: str) 
     rays = []
     for edge in edges:
         flat = undistorted(camera, edge)
-        _line(flat * camera.matrix[0, 0], name)
+        flat = flat[_straight(flat, name, camera.matrix[0, 0])]
         ray = np.c_[flat, np.ones(len(flat))] * Y_UP
         normals.append(np.linalg.svd(ray)[2][2])
         rays.append(ray / np.linalg.norm(ray, axis=1, keepdims=True))

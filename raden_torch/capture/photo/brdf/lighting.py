@@ -9,7 +9,7 @@ import numpy as np
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
-from raden_torch.capture.photo.brdf.rays import MM, Y_UP
+from raden_torch.capture.photo.brdf.rays import carried
 from raden_torch.capture.photo.brdf.shots import Shot
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.directions import directions_across
@@ -53,6 +53,16 @@ class Lamp:
             position = middle + distance * away / np.linalg.norm(away)
         direction = self.direction + lean
         return replace(self, direction=direction / np.linalg.norm(direction), position=position)
+
+    def carried(self, before: Pose, after: Pose) -> Lamp:
+        """The lamp that stands beside the board: from the camera's frame at one pose of the board
+        to that at another."""
+        return replace(
+            self,
+            direction=carried(self.direction, before, after, point=False),
+            across=carried(self.across, before, after, point=False),
+            position=None if self.position is None else carried(self.position, before, after),
+        )
 
     def at(self, points: Floats, middle: Floats) -> tuple[Floats, Floats]:
         """Unit directions `[P, 3]` from points to the lamp, and the irradiance `[P]` on a plane
@@ -101,25 +111,16 @@ def lamps_of_shots(
         direction = lamps.direction[k]
         across = directions_across(direction)
         position = None if lamps.position is None else lamps.position[k]
+        std_deg = setup.lamp_std_deg
+        if std_deg is None:
+            std_deg = LAMP_STD_DEG if lamps.std_deg is None else float(lamps.std_deg[k])
+        lamp = Lamp(direction, position, rgb, std_deg, across, k)
         if seen_in is not None:
             if shot.pose is None:
                 raise InputError(
                     f"{shot.files[0]}: the board's pose in it is not known; with lamps that stand "
                     "beside the board each photograph needs one"
                 )
-            direction = _moved(direction, seen_in, shot.pose, point=False)
-            across = _moved(across, seen_in, shot.pose, point=False)
-            position = None if position is None else _moved(position, seen_in, shot.pose)
-        std_deg = setup.lamp_std_deg
-        if std_deg is None:
-            std_deg = LAMP_STD_DEG if lamps.std_deg is None else float(lamps.std_deg[k])
-        found.append(Lamp(direction, position, rgb, std_deg, across, k))
+            lamp = lamp.carried(seen_in, shot.pose)
+        found.append(lamp)
     return found
-
-
-def _moved(vector: Floats, before: Pose, after: Pose, *, point: bool = True) -> Floats:
-    """From the camera's frame at one pose of the board to that at another, y up, mm."""
-    shift = MM * before.translation_m if point else np.zeros(3)
-    on_board = (vector * Y_UP - shift) @ before.rotation
-    back = MM * after.translation_m if point else np.zeros(3)
-    return np.asarray((on_board @ after.rotation.T + back) * Y_UP)

@@ -35,6 +35,8 @@ class PhotoSeries:
         exponent: of the camera's response, as the lights file says; 1 where it is linear.
         size: height and width of every photograph.
         colour: of raw files, the first one's; None for others.
+        seen_in: pose of the board in the photograph in whose frame the lights file is, where the
+            lamps stand beside the board; None where they stand beside the camera.
     """
 
     shots: list[Shot]
@@ -43,6 +45,7 @@ class PhotoSeries:
     exponent: float
     size: tuple[int, int]
     colour: RawColour | None = None
+    seen_in: Pose | None = None
 
     @property
     def names(self) -> list[str]:
@@ -83,7 +86,8 @@ def read_series(photographs: Sequence[Path], setup: CaptureSetup) -> PhotoSeries
     camera = None if setup.camera is None else read_camera(setup.camera)
     poses = _poses(setup.camera)
     shots = shots_of(photographs, setup, lamps, poses)
-    of_shots = lamps_of_shots(lamps, shots, camera, setup, _seen_in(setup, poses))
+    seen_in = _seen_in(setup, poses)
+    of_shots = lamps_of_shots(lamps, shots, camera, setup, seen_in)
     frame = read_frame(shots[0])
     size = frame.size
     if camera is not None and camera.size != size:
@@ -92,7 +96,7 @@ def read_series(photographs: Sequence[Path], setup: CaptureSetup) -> PhotoSeries
             f"{setup.camera}: expected the camera that took the photographs, at their size of "
             f"{width} x {height} pixels, got one of {w} x {h}"
         )
-    return PhotoSeries(shots, of_shots, camera, lamps.exponent, size, frame.colour)
+    return PhotoSeries(shots, of_shots, camera, lamps.exponent, size, frame.colour, seen_in)
 
 
 def linear_frames(series: PhotoSeries) -> Iterator[Frame]:

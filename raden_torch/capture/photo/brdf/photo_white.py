@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.brdf.lighting import LEAN_DEG, Lamp
+from raden_torch.capture.photo.brdf.lighting import Lamp
 from raden_torch.capture.photo.brdf.photo_angles import angles_deg
 from raden_torch.capture.photo.brdf.photo_series import Frame
 from raden_torch.capture.photo.brdf.rays import Rays
 from raden_torch.capture.photo.brdf.sample_shapes import Plane
+from raden_torch.capture.photo.brdf.white_sight import WhiteSight
 from raden_torch.errors import InputError
 
 _FACING = 0.25
@@ -58,11 +59,13 @@ class WhiteFactor:
 
 @dataclass(frozen=True, eq=False)
 class WhitePlace:
-    """The white in one photograph: `[P]` columns and rows of its pixels, and its plane."""
+    """The white in one photograph: `[P]` columns and rows of its pixels, its plane, and whether
+    that is the board's."""
 
     x_px: NDArray[np.intp]
     y_px: NDArray[np.intp]
     plane: Plane
+    on_board: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,7 @@ class WhiteReading:
         place: `[32, 2]` where these are, in sizes of a part.
         lean: `[2]` the share by which its irradiance grows as the lamp leans by a degree along each
             of its two directions.
+        sight: a pixel of each part, by which its irradiance under another lamp is known.
     """
 
     rgb: Floats
@@ -85,6 +89,7 @@ class WhiteReading:
     parts: Floats
     place: Floats
     lean: Floats
+    sight: WhiteSight
 
     @property
     def unevenness(self) -> float:
@@ -119,13 +124,17 @@ def read_white(
     # noise averages out in the parts, shading and stains do not
     parts = blocks / rgb - 1
     size = np.sqrt(len(x) / len(groups))
-    where = np.array([[x[part].mean(), y[part].mean()] for part in groups]) / size
+    middles = np.array([[x[part].mean(), y[part].mean()] for part in groups])
+    where = middles / size
     std = _std_of_mean(parts, where)
     at = np.median(angles_deg(surface.normal[good], light[good], -rays.direction[good]), axis=0)
-    lean = _lean(
-        lamp, surface.point[good], place.plane.normal, middle, cosine[good] * falloff[good]
-    )
-    return WhiteReading(rgb, std, factor.at(at), parts, where, lean)
+    amid = [
+        np.flatnonzero(good)[part[np.hypot(x[part] - u, y[part] - v).argmin()]]
+        for part, (u, v) in zip(groups, middles, strict=True)
+    ]
+    sight = WhiteSight(Rays(rays.start[amid], rays.direction[amid]), place.plane, place.on_board)
+    lean = sight.lean(lamp, middle)
+    return WhiteReading(rgb, std, factor.at(at), parts, where, lean, sight)
 
 
 def _halved(x: NDArray[np.intp], y: NDArray[np.intp]) -> list[NDArray[np.intp]]:
@@ -154,18 +163,6 @@ def _std_of_mean(parts: Floats, place: Floats) -> Floats:
     return np.asarray(np.sqrt(np.maximum(together, alone)))
 
 
-def _lean(lamp: Lamp, point: Floats, normal: Floats, middle: Floats, light: Floats) -> Floats:
-    """`[2]`: by how much the light on the white grows, a degree that the lamp leans."""
-    found = []
-    for along in LEAN_DEG * np.eye(2):
-        there, back = (
-            ((way * normal).sum(1) * falloff / light).mean()
-            for way, falloff in (lamp.turned(s * along, middle).at(point, middle) for s in (1, -1))
-        )
-        found.append((there - back) / (2 * LEAN_DEG))
-    return np.array(found)
-
-
 @dataclass(frozen=True, eq=False)
 class Scale:
     """From camera signal to reflectance, for every shot.
@@ -179,6 +176,7 @@ class Scale:
         xyz: `[3]` the white's reflectance factor that it stands for.
         measured: `[K]` the white was read in that shot; else its lamp's intensity was taken.
         notes: what a person should know.
+        sights: of each shot, by which the light on its white is known; None where it was not read.
     """
 
     rgb: Floats
@@ -188,6 +186,7 @@ class Scale:
     xyz: Floats
     measured: NDArray[np.bool_]
     notes: tuple[str, ...]
+    sights: tuple[WhiteSight | None, ...]
 
     @property
     def mean_rgb(self) -> Floats:
@@ -251,7 +250,8 @@ def scale_of(
             f"the white is uneven in {_listed(uneven)}: a shadow on it, or another normal or "
             "distance than was given?"
         )
-    return Scale(rgb, std, shared, lean, xyz, measured, tuple(notes))
+    sights = tuple(None if reading is None else reading.sight for reading in readings)
+    return Scale(rgb, std, shared, lean, xyz, measured, tuple(notes), sights)
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -80,6 +80,15 @@ def scene_to_board(pose: Pose, scene_mm: Any) -> Floats:
     return np.asarray(p @ pose.rotation)
 
 
+def carried(vector: Floats, before: Pose, after: Pose, *, point: bool = True) -> Floats:
+    """What is fixed to the board, points `[…, 3]` in mm or directions: from the camera's frame at
+    one pose of the board to that at another."""
+    shift = MM * before.translation_m if point else np.zeros(3)
+    on_board = (vector * Y_UP - shift) @ before.rotation
+    back = MM * after.translation_m if point else np.zeros(3)
+    return np.asarray((on_board @ after.rotation.T + back) * Y_UP)
+
+
 def board_direction(pose: Pose, direction: Any) -> Floats:
     """A direction in the board's frame → the camera's, y up."""
     return np.asarray((np.asarray(direction, np.float64) @ pose.rotation.T) * Y_UP)

@@ -37,6 +37,10 @@ class Moves:
         """Twice as much light, everywhere."""
         return cls(np.zeros((count, 3), np.float32), np.ones(count, np.float32))
 
+    def brighter(self, share: float) -> Moves:
+        """With so much more light, everywhere."""
+        return Moves(self.place, self.light + np.float32(share))
+
     def change(
         self, coefficients: NDArray[np.floating[Any]], x: Floats32
     ) -> NDArray[np.floating[Any]]:
@@ -95,6 +99,10 @@ class ShotSamples:
     def on(self, shape: Shape, step_deg: float) -> Moves:
         """If the sample were of that shape, the lamp's brightness at its middle as it is."""
         return self._moves(*_seen(self.rays, shape, self.lamp, self.shape.middle), step_deg)
+
+    def carried(self, shape: Shape, lamp: Lamp, step_deg: float) -> Moves:
+        """If sample and lamp stood there, the lamp as bright at the sample's middle there."""
+        return self._moves(*_seen(self.rays, shape, lamp, shape.middle), step_deg)
 
     def leans(self, step_deg: float) -> list[Moves]:
         """Two: a degree of the lamp along each of its `across`."""

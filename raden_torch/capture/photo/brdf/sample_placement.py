@@ -21,9 +21,6 @@ from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.photo_set import read_mask
 from raden_torch.errors import InputError
 
-_STRAIGHT_EDGE_PX = 0.3
-"""Of a mask's straight edge, which may run along a row of pixels: 1/√12 of one."""
-
 
 @dataclass(frozen=True, eq=False)
 class SampleInPhotograph:
@@ -73,8 +70,7 @@ def place_sample(
             _need_pose(pose, name)
             shape = rod_on_board(spec.axis_m, spec.radius_mm, pose, camera, name)
         else:
-            shape = rod_from_mask(mask, camera, spec.radius_mm, str(spec.mask))
-            outline_px = _STRAIGHT_EDGE_PX
+            shape, outline_px = rod_from_mask(mask, camera, spec.radius_mm, str(spec.mask))
         inside = mask > 0.5
     y, x = np.nonzero(eroded(inside))
     normal = shape.seen(rays_through(camera, x, y)).normal

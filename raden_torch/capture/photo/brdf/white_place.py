@@ -39,11 +39,10 @@ def white_place(
     if spec.normal is None and pose is not None and camera is not None:
         board = whole_board(pose)
         plane = board if spec.at is None else Plane(spec.at[None], board.normal)
-    else:
-        normal = np.array([0.0, 0.0, 1.0]) if spec.normal is None else spec.normal
-        at = middle if spec.at is None else spec.at
-        plane = Plane(at[None], normal / np.linalg.norm(normal))
-    return WhitePlace(x, y, plane)
+        return WhitePlace(x, y, plane, on_board=True)
+    normal = np.array([0.0, 0.0, 1.0]) if spec.normal is None else spec.normal
+    at = middle if spec.at is None else spec.at
+    return WhitePlace(x, y, Plane(at[None], normal / np.linalg.norm(normal)))
 
 
 def _pixels(

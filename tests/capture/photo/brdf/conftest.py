@@ -101,97 +101,97 @@ def write_photo(path: Path, linear: Array) -> None:
     cv2.imwrite(str(path), stored[..., ::-1])
 
 
+def sphere_photographs(
+    folder: Path,
+    count: int = 12,
+    *,
+    radius: float = 150.0,
+    near: float | None = None,
+    noise: float = 0.002,
+    outliers: float = 0.0,
+    brdf: Callable[..., Array] = shell,
+    lamps: Array | None = None,
+    power: Array | None = None,
+    exposure: float = 0.25,
+    moved: dict[int, tuple[float, float]] | None = None,
+    sample_only: dict[int, float] | None = None,
+    wrong_lamp: dict[int, float] | None = None,
+    lamp_error_deg: float = 0.0,
+    outline_error_px: float = 0.0,
+    stains: float = 0.0,
+    seed: int = 0,
+) -> Series:
+    """Photographs of a sphere by a far camera; beside it a white card faces the camera."""
+    random = np.random.default_rng(seed)
+    side = int(2 * radius + 60)
+    size = side, side + 80
+    centre = np.array([side / 2 + 0.3, side / 2 - 0.2])
+    y, x = np.mgrid[: size[0], : size[1]].astype(float)
+    # of the white, by patches of a twelfth of it: the same in all photographs
+    patches = np.random.default_rng([seed, 1]).normal(size=(12, 12))
+    spots = cv2.resize(patches, size[::-1], interpolation=cv2.INTER_NEAREST)
+    direction = lamp_ring(count) if lamps is None else lamps
+    count = len(direction)
+    power = np.ones(count) if power is None else power
+    middle = np.array([centre[0], -centre[1], radius])
+    position = None if near is None else middle + near * radius * direction
+    photos = []
+    for k in range(count):
+        shift = (moved or {}).get(k, (0.0, 0.0))
+        dx, dy = x - centre[0] - shift[0], -(y - centre[1] - shift[1])
+        z = np.sqrt(np.clip(radius**2 - dx**2 - dy**2, 0, None))
+        on = z > 0
+        point = np.stack([dx + centre[0], dy - centre[1], z], -1)
+        card = (x > side + 10) & (y > 20) & (y < side - 20)
+        linear = np.full((*size, 3), 0.004)
+        for where, normal in ((on, np.stack([dx, dy, z], -1) / radius), (card, None)):
+            p = point[where] if normal is not None else np.stack([x, -y, 0 * x + radius], -1)[where]
+            n = normal[where] if normal is not None else np.broadcast_to([0.0, 0, 1], p.shape)
+            to = np.broadcast_to(direction[k], p.shape)
+            fall = np.ones(len(p))
+            if position is not None:
+                to = position[k] - p
+                fall = ((position[k] - middle) ** 2).sum() / (to**2).sum(1)
+                to = unit(to)
+            lit = np.clip((n * to).sum(1), 0, None) * fall * power[k]
+            view = np.broadcast_to([0.0, 0, 1], p.shape)
+            f = np.full((len(p), 3), 0.9 / np.pi)
+            if normal is not None:
+                f = brdf(n, to, view) * (sample_only or {}).get(k, 1.0)
+            linear[where] = np.pi * f * lit[:, None] * exposure
+        linear[card] *= 1 + stains * spots[card][:, None]
+        linear = cv2.GaussianBlur(linear, (0, 0), 0.5)
+        linear = linear + noise * np.sqrt(linear + 0.01) * random.normal(size=linear.shape)
+        if outliers:
+            bad = random.random(size) < outliers
+            linear[bad] = random.choice([0.0, 0.9], bad.sum())[:, None]
+        photos.append(folder / f"photo{k}.png")
+        write_photo(photos[-1], linear)
+    lean = np.radians(lamp_error_deg) * random.normal(size=direction.shape)
+    said = unit(direction + lean)
+    for k, degrees in (wrong_lamp or {}).items():  # turned about the camera's axis
+        c, d = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+        said[k] = np.array([[c, -d, 0], [d, c, 0], [0, 0, 1]]) @ said[k]
+    reach = None if position is None else middle + near * radius * said
+    write_lights(folder / "lights.json", said, power / power.mean(), reach)
+    off = outline_error_px * random.normal(size=3)
+    on = np.hypot(x - centre[0] - off[0], y - centre[1] - off[1]) < radius + off[2]
+    cv2.imwrite(str(folder / "mask.png"), 255 * on.astype(np.uint8))
+    card = (x > side + 10) & (y > 20) & (y < side - 20)
+    cv2.imwrite(str(folder / "white.png"), 255 * card.astype(np.uint8))
+    return Series(
+        folder, photos, folder / "lights.json", folder / "mask.png", folder / "white.png",
+        direction,
+    )  # fmt: skip
+
+
 @pytest.fixture
 def sphere_series(tmp_path: Path) -> Callable[..., Series]:
-    """Photographs of a sphere by a far camera; beside it a white card faces the camera."""
+    """`sphere_photographs` in a folder of this name."""
 
-    def make(
-        count: int = 12,
-        *,
-        radius: float = 150.0,
-        near: float | None = None,
-        noise: float = 0.002,
-        outliers: float = 0.0,
-        brdf: Callable[..., Array] = shell,
-        lamps: Array | None = None,
-        power: Array | None = None,
-        exposure: float = 0.25,
-        moved: dict[int, tuple[float, float]] | None = None,
-        sample_only: dict[int, float] | None = None,
-        wrong_lamp: dict[int, float] | None = None,
-        lamp_error_deg: float = 0.0,
-        outline_error_px: float = 0.0,
-        stains: float = 0.0,
-        seed: int = 0,
-        name: str = "s",
-    ) -> Series:
-        folder = tmp_path / name
-        folder.mkdir(exist_ok=True)
-        random = np.random.default_rng(seed)
-        side = int(2 * radius + 60)
-        size = side, side + 80
-        centre = np.array([side / 2 + 0.3, side / 2 - 0.2])
-        y, x = np.mgrid[: size[0], : size[1]].astype(float)
-        # of the white, by patches of a twelfth of it: the same in all photographs
-        patches = np.random.default_rng([seed, 1]).normal(size=(12, 12))
-        spots = cv2.resize(patches, size[::-1], interpolation=cv2.INTER_NEAREST)
-        direction = lamp_ring(count) if lamps is None else lamps
-        count = len(direction)
-        power = np.ones(count) if power is None else power
-        middle = np.array([centre[0], -centre[1], radius])
-        position = None if near is None else middle + near * radius * direction
-        photos = []
-        for k in range(count):
-            shift = (moved or {}).get(k, (0.0, 0.0))
-            dx, dy = x - centre[0] - shift[0], -(y - centre[1] - shift[1])
-            z = np.sqrt(np.clip(radius**2 - dx**2 - dy**2, 0, None))
-            on = z > 0
-            point = np.stack([dx + centre[0], dy - centre[1], z], -1)
-            card = (x > side + 10) & (y > 20) & (y < side - 20)
-            linear = np.full((*size, 3), 0.004)
-            for where, normal in ((on, np.stack([dx, dy, z], -1) / radius), (card, None)):
-                p = (
-                    point[where]
-                    if normal is not None
-                    else np.stack([x, -y, 0 * x + radius], -1)[where]
-                )
-                n = normal[where] if normal is not None else np.broadcast_to([0.0, 0, 1], p.shape)
-                to = np.broadcast_to(direction[k], p.shape)
-                fall = np.ones(len(p))
-                if position is not None:
-                    to = position[k] - p
-                    fall = ((position[k] - middle) ** 2).sum() / (to**2).sum(1)
-                    to = unit(to)
-                lit = np.clip((n * to).sum(1), 0, None) * fall * power[k]
-                view = np.broadcast_to([0.0, 0, 1], p.shape)
-                f = np.full((len(p), 3), 0.9 / np.pi)
-                if normal is not None:
-                    f = brdf(n, to, view) * (sample_only or {}).get(k, 1.0)
-                linear[where] = np.pi * f * lit[:, None] * exposure
-            linear[card] *= 1 + stains * spots[card][:, None]
-            linear = cv2.GaussianBlur(linear, (0, 0), 0.5)
-            linear = linear + noise * np.sqrt(linear + 0.01) * random.normal(size=linear.shape)
-            if outliers:
-                bad = random.random(size) < outliers
-                linear[bad] = random.choice([0.0, 0.9], bad.sum())[:, None]
-            photos.append(folder / f"photo{k}.png")
-            write_photo(photos[-1], linear)
-        lean = np.radians(lamp_error_deg) * random.normal(size=direction.shape)
-        said = unit(direction + lean)
-        for k, degrees in (wrong_lamp or {}).items():  # turned about the camera's axis
-            c, d = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-            said[k] = np.array([[c, -d, 0], [d, c, 0], [0, 0, 1]]) @ said[k]
-        reach = None if position is None else middle + near * radius * said
-        write_lights(folder / "lights.json", said, power / power.mean(), reach)
-        off = outline_error_px * random.normal(size=3)
-        on = np.hypot(x - centre[0] - off[0], y - centre[1] - off[1]) < radius + off[2]
-        cv2.imwrite(str(folder / "mask.png"), 255 * on.astype(np.uint8))
-        card = (x > side + 10) & (y > 20) & (y < side - 20)
-        cv2.imwrite(str(folder / "white.png"), 255 * card.astype(np.uint8))
-        return Series(
-            folder, photos, folder / "lights.json", folder / "mask.png", folder / "white.png",
-            direction,
-        )  # fmt: skip
+    def make(count: int = 12, *, name: str = "s", **options: Any) -> Series:
+        (tmp_path / name).mkdir(exist_ok=True)
+        return sphere_photographs(tmp_path / name, count, **options)
 
     return make
 
@@ -234,6 +234,69 @@ def looking(azimuth_deg: float, away_deg: float, distance_m: float) -> tuple[Arr
     return rotation, -rotation @ place
 
 
+BOARD = {"columns": 15, "rows": 10, "square_m": 0.012, "marker_m": 0.008}
+BOARD |= {"dictionary": "DICT_6X6_250", "legacy": False}
+
+
+def on_rod(start: Array, ray: Array, edges: Array | None = None) -> tuple[Array, Array]:
+    """Which rays from `start` meet the rod, and where: the circle y = 0.06, z = −r, from x = 0.02
+    to 0.12 m.
+
+    Args:
+        edges: `[2, 2]` of each edge, metres by which it lies aside, and by which its end does more.
+    """
+    o = start[1:] - [0.06, -ROD_RADIUS_M]
+    d = ray[:, 1:]
+    square = (d**2).sum(1)
+    nearest = -(d @ o) / square
+    x = start[0] + nearest * ray[:, 0]
+    aside, radius = np.zeros(len(ray)), ROD_RADIUS_M
+    if edges is not None:
+        far, near = (edge[0] + edge[1] * (x - 0.07) / 0.05 for edge in edges)
+        aside, radius = (far + near) / 2, ROD_RADIUS_M + (far - near) / 2
+    b, c = d @ o - d[:, 0] * aside, (o[0] - aside) ** 2 + o[1] ** 2 - radius**2
+    depth = b**2 - square * c
+    on = start + ((-b - np.sqrt(np.clip(depth, 0, None))) / square)[:, None] * ray
+    return (depth > 0) & (on[:, 0] > 0.02) & (on[:, 0] < 0.12), on
+
+
+def pose_entry(file: str, rotation: Array, shift: Array, **more: object) -> dict[str, object]:
+    """Of a camera file."""
+    return {
+        "file": file,
+        "corners": 24,
+        "reprojection_rms_px": 0.2,
+        "rotation_board_to_camera": rotation.tolist(),
+        "translation_board_to_camera_m": shift.tolist(),
+    } | more
+
+
+def found_pose(
+    file: str, rotation: Array, shift: Array, free: Array, error_px: float, random: Any
+) -> dict[str, object]:
+    """The same, as the board's corners say that lie where the picture is `free`, each off by
+    `error_px` at random."""
+    from raden_torch.capture.photo.board import Board, BoardView
+    from raden_torch.capture.photo.board_pose import board_pose
+    from raden_torch.capture.photo.camera import Camera
+
+    board = Board(**BOARD)
+    seen = (board.corners_m @ rotation.T + shift) @ CAMERA_PX.T
+    pixels = seen[:, :2] / seen[:, 2:]
+    x, y = np.rint(pixels).astype(int).T
+    there = (x >= 0) & (y >= 0) & (x < SIZE[1]) & (y < SIZE[0])
+    there[there] = free[y[there], x[there]]
+    ids = np.flatnonzero(there).astype(np.int32)
+    off = error_px * random.normal(size=(len(ids), 2))
+    pose = board_pose(
+        BoardView(file, SIZE, board, ids, pixels[ids] + off),
+        Camera(CAMERA_PX, np.zeros(5), SIZE),
+    )
+    assert pose.covariance is not None
+    known = {"turn_and_translation_covariance": pose.covariance.tolist()}
+    return pose_entry(file, pose.rotation, pose.translation_m, **known)
+
+
 def board_photographs(
     folder: Path,
     lamps_m: Array,
@@ -245,10 +308,21 @@ def board_photographs(
     seed: int = 0,
     distance_m: float = 0.35,
     exposure: float = 0.2,
+    lamp_error_deg: float = 0.0,
+    corner_error_px: float = 0.0,
+    edge_error_px: float = 0.0,
 ) -> Series:
     """Photographs of a flat sample, or of a rod, on a board with a white field; near lamps that
-    stand beside the board; the camera moves (`poses`: azimuth, away from the normal, degrees)."""
+    stand beside the board; the camera moves (`poses`: azimuth, away from the normal, degrees).
+
+    Args:
+        lamp_error_deg: by which the lamps lean from where the lights file says.
+        corner_error_px: of the board's corners, by which its poses are found; 0: they are known.
+        edge_error_px: of the two edges of the rod's mask, and of their ends.
+    """
     random = np.random.default_rng(seed)
+    drawn = np.random.default_rng([seed, 3])
+    edges = edge_error_px * drawn.normal(size=(2, 2)) * distance_m / CAMERA_PX[0, 0]
     y, x = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
     photos, entries, mask = [], [], np.zeros(SIZE, bool)
     for k, (lamp, (turn, away)) in enumerate(zip(lamps_m, poses, strict=True)):
@@ -262,18 +336,12 @@ def board_photographs(
             ((point[:, :2] > c.min(0)) & (point[:, :2] < c.max(0))).all(1)
             for c in (FLAT_M, WHITE_M)
         ]
-        if rod:  # the circle y = 0.06, z = −r, from x = 0.02 to 0.12
-            o = start[1:] - [0.06, -ROD_RADIUS_M]
-            d = ray[:, 1:]
-            b, c = d @ o, (o**2).sum() - ROD_RADIUS_M**2
-            square = b**2 - (d**2).sum(1) * c
-            reach = (-b - np.sqrt(np.clip(square, 0, None))) / (d**2).sum(1)
-            on = start + reach[:, None] * ray
-            hit = (square > 0) & (on[:, 0] > 0.02) & (on[:, 0] < 0.12)
+        if rod:
+            hit, on = on_rod(start, ray)
             point[hit] = on[hit]
             normal[hit] = unit((on - [0, 0.06, -ROD_RADIUS_M]) * [0, 1, 1])[hit]
             inside = [hit, inside[1] & ~hit]
-            mask |= hit.reshape(SIZE)
+            mask |= on_rod(start, ray, edges)[0].reshape(SIZE)
         to = lamp - point
         fall = 0.09 / (to**2).sum(1)
         to = unit(to)
@@ -286,29 +354,27 @@ def board_photographs(
         linear += noise * np.sqrt(np.abs(linear) + 0.01) * random.normal(size=linear.shape)
         photos.append(folder / f"photo{k}.png")
         write_photo(photos[-1], linear)
-        entries.append(
-            {
-                "file": photos[-1].name,
-                "corners": 24,
-                "reprojection_rms_px": 0.2,
-                "rotation_board_to_camera": rotation.tolist(),
-                "translation_board_to_camera_m": shift.tolist(),
-            }
-        )
+        if corner_error_px == 0:
+            entries.append(pose_entry(photos[-1].name, rotation, shift))
+        elif k == 0 or poses[k] != poses[k - 1]:  # else the camera stands still: one pose serves
+            free = ~(inside[0] | inside[1]).reshape(SIZE)
+            entries.append(
+                found_pose(photos[-1].name, rotation, shift, free, corner_error_px, drawn)
+            )
     camera = {"format": "raden capture", "version": 1, "kind": "camera", "made_from": []}
     camera |= {"camera_matrix_px": CAMERA_PX.tolist(), "distortion": [0.0] * 5}
     camera |= {"image_width_px": SIZE[1], "image_height_px": SIZE[0]}
-    board = {"columns": 5, "rows": 7, "square_m": 0.04, "marker_m": 0.02}
-    camera |= {"board": board | {"dictionary": "DICT_6X6_250", "legacy": False}}
+    camera |= {"board": BOARD}
     (folder / "camera.json").write_text(json.dumps(camera | {"poses": entries}))
     rotation, shift = looking(*poses[0], distance_m)
     position = 1000 * (lamps_m @ rotation.T + shift) * Y_DOWN
     middle = 1000 * (rotation @ np.array([0.07, 0.06, 0.0]) + shift) * Y_DOWN
     # relative irradiance at the sample's middle: of equal lamps, by their distance
     power = 1 / ((position - middle) ** 2).sum(1)
-    write_lights(
-        folder / "lights.json", unit(position - middle), power / power.mean(), position, "mm"
-    )
+    away = np.linalg.norm(position - middle, axis=1, keepdims=True)
+    said = unit(position - middle)
+    said = unit(said + np.radians(lamp_error_deg) * drawn.normal(size=said.shape))
+    write_lights(folder / "lights.json", said, power / power.mean(), middle + away * said, "mm")
     cv2.imwrite(str(folder / "mask.png"), 255 * mask.astype(np.uint8))
     return Series(
         folder, photos, folder / "lights.json", folder / "mask.png", folder / "none.png",
