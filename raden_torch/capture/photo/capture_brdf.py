@@ -134,25 +134,23 @@ def capture_brdf(
     views = photo_views(series, sample, fixed)
     first = first_pass(_reported(views, series, progress, 0.0), series, white, factor, grid)
     fit = robust_fit(first.kept, grid)
-    lamp_std_deg = np.array([lamp.std_deg for lamp in series.lamps])
     by_shot = SamplesByShot(first.kept, series, first.shapes, grid)
-    leans = [by_shot.of(k).leans(grid.step_deg) for k in range(len(by_shot))]
-    lean = by_shot.wrong_by(leans, fit, first.scale)
-    agreed = agreement(first.kept, fit, first.scale, lean, lamp_std_deg)
-    doubts = [moved(first.edges, series.names), agreed.contradiction(series.names)]
     outline_px = outline_std_px(fixed, setup.outline_std_px)
     places = lamp_places(by_shot, first.kept, series)
     elsewhere = places.warnings(series.names, series.lamps, normal_std_deg(fixed, outline_px))
-    warned += [*_raised_or_warned(doubts, go_on=go_on), *_warned(elsewhere)]
+    warned += _raised_or_warned([moved(first.edges, series.names)], go_on=go_on)
 
     views = photo_views(series, sample, fixed)
     half = _reported(views, series, progress, 0.5)
     found = second_pass(half, first, fit, grid, amid_samples=scattered)
-    least = 0.0 if scattered else LEAST_COVERAGE
-    cover = _checked_coverage(found, grid, series, sample, first.shapes[0], least)
     colour = NodeColour.of(setup.colour, found.scale, series.colour)
     placement = PlacementErrors.of(sample, outline_px)
-    shared = shared_errors(by_shot, leans, found, series, colour, grid, placement)
+    shared = shared_errors(by_shot, found, series, colour, grid, placement)
+    agreed = agreement(first.kept, fit, first.scale, shared.of_samples)
+    contradiction = agreed.contradiction(series.names)
+    warned += [*_raised_or_warned([contradiction], go_on=go_on), *_warned(elsewhere)]
+    least = 0.0 if scattered else LEAST_COVERAGE
+    cover = _checked_coverage(found, grid, series, sample, first.shapes[0], least)
     budget = budget_of(found, colour, shared, scale_std=factor.relative_std)
     about = _metadata(metadata or Metadata(), sample, found, cover, factor)
     return CapturedBrdf(

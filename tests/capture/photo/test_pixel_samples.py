@@ -374,8 +374,7 @@ def test_a_shot_that_is_brighter_in_all_cells(factor: float) -> None:
     scale = Scale(
         np.ones((8, 3)), np.full((8, 3), 0.005), *none, D65_XYZ, np.ones(8, bool), (), (None,) * 8
     )
-    lean = np.zeros((len(kept.cell), 2), np.float32)
-    found = agreement(kept, robust_fit(kept, grid), scale, lean, np.full(8, 0.1))
+    found = agreement(kept, robust_fit(kept, grid), scale, np.zeros(len(kept.cell)))
     assert (found.cells == 100).all()
     said = found.contradiction(list("abcdefgh"))
     if factor == 1:

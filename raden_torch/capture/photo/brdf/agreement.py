@@ -1,9 +1,10 @@
 """Do the photographs agree where they saw the same cells?
 
 A cell that several photographs filled has a median of each. Against the others' the difference has
-a standard deviation: the scatter of the samples over the root of their number, the white and the
-lamp's direction under either lamp. χ² of a photograph is the mean square of the differences over
-their variances; a factor common to all cells is told from a difference that changes its sign.
+a standard deviation: the scatter of the samples over the root of their number, the white under
+either lamp, and the errors of geometry: of lamps, the sample's place and the board's poses. χ² of a
+photograph is the mean square of the differences over their variances; a factor common to all cells
+is told from a difference that changes its sign.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from raden_torch.arrays import Floats, Floats32
+from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.cell_fit import RobustFit
 from raden_torch.capture.photo.brdf.photo_cells import basis
 from raden_torch.capture.photo.brdf.photo_white import Scale
@@ -84,27 +85,22 @@ def agreement(
     kept: Reservoir,
     fit: RobustFit,
     scale: Scale,
-    lean: Floats32,
-    lamp_std_deg: Floats,
+    geometry: Floats,
 ) -> Agreement:
     """Compare the chosen samples of each shot with those of the others, cell by cell.
 
     Args:
-        lean: `[n, 2]` what each sample is wrong by, mean of the channels, a degree that its lamp
-            leans along each of its two directions.
-        lamp_std_deg: `[K]` of the lamps' directions.
+        geometry: `[n]` standard deviation of each sample by the errors of geometry, mean of the
+            channels; alike in all samples of a shot and cell.
     """
     shots = len(scale.rgb)
-    row = _groups(kept, fit, lean)
+    row = _groups(kept, fit, geometry)
     level, cells_of = row.median, len(fit.cell)
     size = np.abs(fit.coefficients[:, 0]).mean(axis=1).astype(np.float64)
     # the scatter within each shot, not that of all, which a contradiction itself makes wide
     pooled = np.bincount(row.cell, row.spread * row.count, cells_of)
     own = (pooled / np.maximum(np.bincount(row.cell, row.count, cells_of), 1))[row.cell]
-    systematic = np.hypot(
-        np.linalg.norm(row.lean, axis=1) * lamp_std_deg[row.shot],
-        size[row.cell] * scale.std.mean(axis=1)[row.shot],
-    )
+    systematic = np.hypot(row.geometry, size[row.cell] * scale.std.mean(axis=1)[row.shot])
     variance = (_OF_MEDIAN * own) ** 2 / row.count + systematic**2 + (2e-3 * size[row.cell]) ** 2
     # the others' weighted mean, by taking the own out of the sums
     weight = 1 / np.maximum(variance, 1e-300)
@@ -132,18 +128,18 @@ def agreement(
 @dataclass(frozen=True, eq=False)
 class _Groups:
     """The cells of each shot: rows of the fit, the shot, how many samples, and their differences
-    from the fit, mean of the channels: the median, the robust deviation around it, and what a
-    degree of the lamp does."""
+    from the fit, mean of the channels: the median, the robust deviation around it, and the
+    deviation by the errors of geometry."""
 
     cell: NDArray[np.intp]
     shot: NDArray[np.intp]
     count: NDArray[np.intp]
     median: Floats
     spread: Floats
-    lean: Floats
+    geometry: Floats
 
 
-def _groups(kept: Reservoir, fit: RobustFit, lean: Floats32) -> _Groups:
+def _groups(kept: Reservoir, fit: RobustFit, geometry: Floats) -> _Groups:
     row = fit.index[kept.cell]
     used = row >= 0
     row, shot = row[used], kept.shot[used].astype(np.intp)
@@ -160,7 +156,7 @@ def _groups(kept: Reservoir, fit: RobustFit, lean: Floats32) -> _Groups:
     spread = 1.4826 * ranked[starts + counts // 2]
     enough = counts >= _FEWEST
     first = order[starts[enough]]
-    leaning = np.add.reduceat(lean[used][order].astype(np.float64), starts) / counts[:, None]
+    shared = np.sqrt(np.add.reduceat(geometry[used][order] ** 2, starts) / counts)
     return _Groups(
-        row[first], shot[first], counts[enough], middle[enough], spread[enough], leaning[enough]
+        row[first], shot[first], counts[enough], middle[enough], spread[enough], shared[enough]
     )

@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats, Floats32, Ints
-from raden_torch.capture.photo.brdf.cell_fit import RobustFit
 from raden_torch.capture.photo.brdf.lighting import LEAN_DEG, Lamp
 from raden_torch.capture.photo.brdf.photo_angles import angles_deg
 from raden_torch.capture.photo.brdf.photo_cells import TERMS, CellGrid
 from raden_torch.capture.photo.brdf.photo_series import PhotoSeries
-from raden_torch.capture.photo.brdf.photo_white import Scale
 from raden_torch.capture.photo.brdf.rays import Rays, rays_through
 from raden_torch.capture.photo.brdf.reservoir import Reservoir
 from raden_torch.capture.photo.brdf.sample_shapes import Shape
@@ -163,28 +161,6 @@ class SamplesByShot:
         apart = [((s * angles / self._grid.step_deg - place) ** 2).sum(1) for s in (1, -1)]
         sign = np.where(apart[1] < apart[0], np.float32(-1), np.float32(1))[:, None]
         return ShotSamples(number, rows, rays, shape, lamp, angles, light, sign)
-
-    def wrong_by(self, leans: list[list[Moves]], fit: RobustFit, scale: Scale) -> Floats32:
-        """`[n, 2]`: what each sample kept is wrong by, mean of the channels, a degree that its lamp
-        leans along each of its two directions; 0 in cells that have no fit.
-
-        Args:
-            leans: of each shot.
-            scale: of each shot, which the lamp's light on the white is in.
-        """
-        kept, out = self._kept, np.zeros((len(self._kept.cell), 2), np.float32)
-        row = fit.index[kept.cell]
-        for number, moves in enumerate(leans):
-            rows = self._order[self._ends[number] : self._ends[number + 1]]
-            there = row[rows] >= 0
-            chosen = rows[there]
-            for j, move in enumerate(moves):
-                light = move.light[there] - np.float32(scale.lean[number, j])
-                change = Moves(move.place[there], light).change(
-                    fit.coefficients[row[chosen]], kept.x[chosen]
-                )
-                out[chosen, j] = change.mean(axis=1)
-        return out
 
 
 def _seen(rays: Rays, shape: Shape, lamp: Lamp, middle: Floats) -> tuple[Floats32, Floats]:

@@ -78,9 +78,9 @@ CASES = {
     "plane, amid the samples": Case("plane", scattered=True),
     "plane, amid the samples, lamps that lean by 0.1": Case("plane", lean_deg=0.1, scattered=True),
     "plane": Case("plane", count=30),
-    "rod": Case("rod"),
-    "rod, lamps that lean by 0.1": Case("rod", lean_deg=0.1),
-    "rod by its edges, lamps that lean by 0.1": Case("edges", lean_deg=0.1),
+    "rod": Case("rod", count=12),
+    "rod, lamps that lean by 0.1": Case("rod", count=12, lean_deg=0.1),
+    "rod by its edges, lamps that lean by 0.1": Case("edges", count=12, lean_deg=0.1),
 }
 
 
