@@ -64,6 +64,33 @@ def test_calibration_and_poses(board_scene: Callable, tmp_path: Path) -> None:
     board, poses = read_poses(path)
     assert board == views[0].board
     np.testing.assert_array_equal(poses["3.png"].rotation, found.poses[3].rotation)
+    assert found.poses[3].covariance is not None
+    np.testing.assert_array_equal(poses["3.png"].covariance, found.poses[3].covariance)
+
+
+def test_a_pose_s_covariance_is_how_it_scatters() -> None:
+    """Corners 0.3 px off at random, 200 times: the errors of turn and place over their covariance
+    have six squares of 1 in the mean, or a little more, since the deviation is estimated, too; the
+    six errors of a pose are as many parts of it."""
+    turn, shift = (np.array(part) for part in PLACES[1])
+    rotation, ids = cv2.Rodrigues(turn)[0], np.arange(24, dtype=np.int32)
+    exact = cv2.projectPoints(BOARD.corners_m, turn, shift, CAMERA.matrix, CAMERA.distortion)[0]
+    random = np.random.default_rng(0)
+    squares = []
+    for _ in range(200):
+        off = 0.3 * random.normal(size=(24, 2))
+        pose = board_pose(
+            BoardView("a", CAMERA.size, BOARD, ids, exact.reshape(-1, 2) + off), CAMERA
+        )
+        wrong = cv2.Rodrigues(rotation @ pose.rotation.T)[0].ravel()
+        wrong = np.r_[wrong, shift - pose.translation_m]
+        assert pose.covariance is not None
+        squares.append(wrong @ np.linalg.solve(pose.covariance, wrong))
+        parts = np.array(pose.errors())
+        np.testing.assert_allclose(parts.T @ parts, pose.covariance, rtol=1e-6, atol=1e-15)
+    assert np.mean(squares) == pytest.approx(6 * 42 / 40, rel=0.12)
+    np.testing.assert_allclose(pose.moved(wrong).translation_m, shift, atol=1e-9)
+    assert turn_deg(pose.moved(wrong).rotation, rotation) < 1e-4
 
 
 def test_reprojection_is_one_to_one(board_scene: Callable) -> None:

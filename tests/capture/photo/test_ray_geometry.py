@@ -157,6 +157,36 @@ def test_a_rod_is_found_by_its_edges(camera: Camera | None) -> None:
     assert np.linalg.norm(apart) < (2.5 if camera else 0.7)
 
 
+def test_a_rod_whose_ends_look_round() -> None:
+    """Seen from near its end its outline is an ellipse's there, which is no part of its edges."""
+    y, x = (v.ravel() for v in np.mgrid[: SIZE[0], : SIZE[1]])
+    for up in np.linspace(-0.06, 0.06, 7):
+        axis = np.array([0.8, up, 0.6]) / np.linalg.norm([0.8, up, 0.6])
+        rod = Cylinder(np.array([-60.0, 0.0, -380.0]), axis, 25.0, (0.0, 110.0))
+        seen = rod.seen(rays_through(STRAIGHT, x, y))
+        along = (seen.point - rod.point) @ rod.axis
+        with np.errstate(invalid="ignore"):
+            on = np.isfinite(along) & (along > rod.reach[0]) & (along < rod.reach[1])
+        found, _ = rod_from_mask(on.reshape(SIZE).astype(np.float32), STRAIGHT, 25.0, "rod.png")
+        axis = found.axis * np.sign(found.axis @ rod.axis)
+        assert np.degrees(np.arccos(min(1.0, axis @ rod.axis))) < 1.5
+
+
+def test_an_edge_along_a_row_is_known_worse() -> None:
+    """Than one that crosses rows; 1/√12 of a pixel, where it may lie in it."""
+    y, x = (v.ravel() for v in np.mgrid[: SIZE[0], : SIZE[1]])
+    stds = []
+    for turn in (0.0, 0.2):
+        axis = np.array([np.cos(turn), np.sin(turn), 0.0])
+        rod = Cylinder(np.array([200.0, -240.0, 0.0]), axis, 40.0, (0.0, 200.0))
+        along = (rod.seen(rays_through(None, x, y)).point - rod.point) @ rod.axis
+        with np.errstate(invalid="ignore"):
+            on = (along > 0) & (along < 200)
+        stds.append(rod_from_mask(on.reshape(SIZE).astype(np.float32), None, None, "rod.png")[1])
+    assert stds[0] == pytest.approx(np.hypot(0.1, 1 / np.sqrt(12)), abs=0.002)
+    assert 0.1 < stds[1] < 0.12
+
+
 def test_a_rod_that_lies_on_the_board() -> None:
     ends = np.array([[0.02, 0.05], [0.10, 0.05]])
     rod = rod_on_board(ends, 8.0, TILTED, CAMERA, "a.png")
