@@ -33,6 +33,7 @@ POSE = {
     "reprojection_rms_px": 0.3,
     "rotation_board_to_camera": np.eye(3).tolist(),
     "translation_board_to_camera_m": [0, 0, 1],
+    "turn_and_translation_covariance": np.zeros((6, 6)).tolist(),
 }
 CAMERA = {
     "camera_matrix_px": [[50, 0, 9], [0, 50, 9], [0, 0, 1]],
