@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm, qmc
 
 from raden_torch.capture.photo.capture_brdf import CapturedBrdf, capture_brdf
 from raden_torch.measurement import BrdfMeasurement
@@ -125,14 +126,23 @@ def _board(case: Case, seed: int, folder: Path) -> dict[str, Any]:
     )
     said = _stated(board_setup(series, rod=rod, axis=case.shape == "rod"), case)
     if rod:
+        radius, aside, turned = _evenly_drawn(seed, 3)
+        ends = np.array([aside - turned, aside + turned]) / np.sqrt(2)
         said["sample"] = replace(
             said["sample"],
-            radius_mm=1000 * ROD_RADIUS_M + _RADIUS_MM * random.normal(),
-            axis_m=ROD_M + 1e-3 * _AXIS_MM * random.normal(size=(2, 1)) * [0, 1]
+            radius_mm=1000 * ROD_RADIUS_M + _RADIUS_MM * radius,
+            axis_m=ROD_M + 1e-3 * _AXIS_MM * ends[:, None] * [0, 1]
             if case.shape == "rod"
             else None,
         )
     return said
+
+
+def _evenly_drawn(number: int, count: int) -> Array:
+    """`[count]` of a normal distribution, by a Halton sequence: few repeats have errors as large as
+    many would, where one error is in all cells."""
+    points = qmc.Halton(count, seed=0).random(number + 1)
+    return np.asarray(norm.ppf(points[-1]))
 
 
 def _views(count: int, random: Any) -> list[tuple[float, float]]:
@@ -173,7 +183,7 @@ def judged(measured: Iterable[BrdfMeasurement]) -> dict[str, dict[str, float]]:
         sums = np.array([np.sum(part**2) - square * len(part) for part in each])
         doubt = np.sqrt((sums**2).sum() * len(each) / max(len(each) - 1, 1)) / len(z)
         out[name] = {
-            "rms": round(np.sqrt(square), 3),
+            "rms": round(float(np.sqrt(square)), 3),
             "rms_std": round(float(doubt / (2 * np.sqrt(square))), 3),
             "within_two": round(float(np.mean(abs(z) < 2)), 4),
             "values": len(z),

@@ -41,10 +41,11 @@ REPEATS = {
 @pytest.mark.parametrize("case", REPEATS)
 def test_repeats_scatter_by_the_stated_deviation(case: str) -> None:
     """Rationale: a standard deviation is right where errors against the truth are as large, in each
-    region. A few series each; 25 and more are in docs/brdf_from_photographs.md."""
+    region. A few series each; 25 and more are in docs/brdf_from_photographs.md. In one series of a
+    rod, where it lies is one error of all cells."""
     found = [repeated(CASES[case], seed).read for seed in range(REPEATS[case])]
     for name, region in judged(found).items():
-        assert 0.7 < region["rms"] < 1.4, name
+        assert (0.7 if REPEATS[case] > 1 else 0.5) < region["rms"] < 1.4, name
         assert region["within_two"] > 0.87, name
 
 
