@@ -8,7 +8,7 @@ are standard uncertainties (k = 1), in the terms of the spectrometer path where 
 | noise | A | of the node's value, by the scatter of its samples around the fit | nothing |
 | place | A | by the slopes within the cell that no sample tells of | nothing |
 | white | A | of the white in the photographs, or the lamps' intensities | cells of like lamps |
-| geometry | B | of the lamps' directions and the sample's normals | cells of like lamps |
+| geometry | B | of the lamps' directions, the sample's place, the board's poses | like lamps |
 | colour | B | of the map from camera RGB to XYZ, by its left-out patches | cells of like colour |
 | scale | B | R u(certificate) | all cells; not in `total` |
 
@@ -53,7 +53,7 @@ def budget_of(
     """The terms of every cell, in the channels of the result.
 
     Args:
-        shared: what the errors of lamps, outline and white do.
+        shared: what the errors of lamps, places and white do.
         scale_std: of the white's reflectance factor, relative.
     """
     nodes = found.nodes
