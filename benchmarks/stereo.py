@@ -229,7 +229,7 @@ def held_out(shared: Path, name: str) -> dict:
             normal, albedo = matt.normal[0, :, 0], matt.albedo[0, :, 0]
             facing = (normal * left.light[0]).sum(0).clamp(min=0) * left.strength[0]
             found = alternate(kept)
-            radiance = shown(found.material, found.found.normal, left)[0] * found.found.gain
+            radiance = shown(found.table.material, found.found.normal, left)[0] * found.found.gain
             true = left.value[0]
             for method, predicted in (("robust", albedo * facing), ("alternating", radiance)):
                 off[method].append(((predicted - true).abs().mean(0) / true.mean()).numpy())

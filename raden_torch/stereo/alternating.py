@@ -3,9 +3,10 @@
 The first BRDF is the one of a few bodies with highlights that explains a sample of the pixels best,
 each with the normals that it gives them. Then a BRDF is fitted to what the sample shows at the
 normals found so far, and the normals are found anew by it, until they stay. (From Lambertian
-normals alone this gets stuck: the BRDF that fits them explains them.) This is done for a bare
-surface and for one under lacquer, whose highlights move otherwise with the normal. What explains
-the sample best of all turns is kept, the first body where no turn is better, as of a matt one.
+normals alone this gets stuck: the BRDF that fits them explains them.) Of all
+turns the one that explains the sample best is kept, the first body where none is better, as of a
+matt one. This is done for a bare surface and for one under lacquer, whose highlights move otherwise
+with the normal; the one is kept that predicts photographs better which its normals do not know.
 The object has to be of one isotropic material and its normals have to spread.
 """
 
@@ -13,15 +14,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
 from raden_torch.errors import InputError
-from raden_torch.stereo.isotropic_table import fitted, lobe
+from raden_torch.stereo.isotropic_table import IsotropicTable, fitted, lobe
+from raden_torch.stereo.learnt_model import MEAN, box_of
 from raden_torch.stereo.observed_light import GRAZING, ObservedLight, sampled, shown, thinned
+from raden_torch.stereo.shell_table import readings_deg
 from raden_torch.stereo.solve import Known, ModelNormals, solve_by_model
 
 MIN_LAMPS = 6
@@ -40,6 +43,7 @@ _BETTER = 0.7
 """Of a matt body's error: above it nothing beyond the Lambertian law has been found. Simulated
 shells came to 0.07 to 0.4, real objects that are nearly matt or in shadow to 0.9 and more.
 """
+_USUAL_COSINE = 0.6
 _LEAST_SPREAD_DEG = 10.0
 
 
@@ -49,22 +53,23 @@ class Alternated:
 
     Attributes:
         found: the normals of the pixels given.
-        material: its scale is that of the photographs.
+        table: the material; `scale`: the photographs' value for a radiance of 1 of it.
         moved_deg: how far the normals of the sample moved in each turn, in the median.
         gained: whether what was fitted explains them better than the first body did; otherwise
-            `material` is that body.
-        index: refractive index of the medium that the material lies in, 1 where it is bare.
+            `table` is that body.
         left_out: how far off it shows a photograph that a pixel's normal was found without, over
             the pixel's mean, in the median; `matt_left_out`: the same of a matt body.
+        box_deg: the least and greatest incidence, receiving and tilt that were seen.
     """
 
     found: ModelNormals
-    material: RuntimeBrdf
+    table: IsotropicTable
+    scale: float
     moved_deg: tuple[float, ...]
     gained: bool
-    index: float
     left_out: float
     matt_left_out: float
+    box_deg: tuple[tuple[float, float], ...]
 
     @property
     def has_settled(self) -> bool:
@@ -94,6 +99,8 @@ def alternate(
             f"got {len(light.value)}; give a model"
         )
     done = progress or (lambda share: None)
+    scale = float((light.value / light.strength).mean()) / (_USUAL_COSINE * MEAN)
+    light = replace(light, value=light.value / scale, floor=light.floor / scale)
     some, few = sampled(light, _SAMPLE), sampled(light, _FIRST_SAMPLE)
     tried = []
     for k, index in enumerate(_INDICES):
@@ -102,22 +109,27 @@ def alternate(
             done(0.5 * (before + share) / len(_INDICES))
 
         tried.append(_turned(some, few, index, part))
-    best = min(tried, key=lambda each: each.cost)
     few = sampled(light, _LEFT_OUT_PIXELS)
-    errors = [_left_out(body, few) for body in (best.material, lobe(*_MATT, 1.0))]
-    whole = solve_by_model([best.material], light, progress=lambda share: done(0.5 + 0.5 * share))
-    return Alternated(whole, best.material, best.moved_deg, best.gained, best.index, *errors)
+    off, best = min(
+        ((_left_out(each.table.material, few), each) for each in tried), key=lambda each: each[0]
+    )
+    matt_off = _left_out(lobe(*_MATT, 1.0).material, few)
+    materials = [best.table.material]
+    whole = solve_by_model(materials, light, progress=lambda share: done(0.5 + 0.5 * share))
+    n, to, view = light.vectors(whole.normal)
+    lit = ((n * to).sum(1) > 0) & ((n * view).sum(1) > 0)
+    box = box_of(readings_deg(light, whole.normal)[lit[:, 0].numpy()])
+    whole = replace(whole, gain=whole.gain * scale)
+    return Alternated(whole, best.table, scale, best.moved_deg, best.gained, off, matt_off, box)
 
 
 @dataclass(frozen=True, eq=False)
 class _Turned:
     """The best material in one medium, as it explains a sample; the rest is as of `Alternated`."""
 
-    material: RuntimeBrdf
+    table: IsotropicTable
     moved_deg: tuple[float, ...]
     gained: bool
-    index: float
-    cost: float
 
 
 def _turned(
@@ -125,23 +137,23 @@ def _turned(
 ) -> _Turned:
     bodies, costs = [lobe(*each, index) for each in (_MATT, *_LOBES)], []
     for place, body in enumerate(bodies):
-        costs.append(float(_with(body, few).cost.median()))
+        costs.append(float(_with(body.material, few).cost.median()))
         done(0.4 * (place + 1) / len(bodies))
-    material = start = bodies[costs.index(min(costs))]
-    found = _with(start, some)
+    table = start = bodies[costs.index(min(costs))]
+    found = _with(start.material, some)
     _check_spread(found.normal)
     least, moved = float(found.cost.median()), []
     for turn in range(_TURNS):
         fitted_to = fit_at(some, found.normal, index)
-        new = solve_by_model([fitted_to], some, known=Known((0.0, 0.1), 1.0))
+        new = solve_by_model([fitted_to.material], some, known=Known((0.0, 0.1), 1.0))
         moved.append(float(torch.rad2deg((new.normal - found.normal).norm(dim=0).median())))
         found, cost = new, float(new.cost.median())
         if cost < least:
-            material, least = fitted_to, cost
+            table, least = fitted_to, cost
         done(0.4 + 0.6 * (turn + 1) / _TURNS)
         if moved[-1] <= _STAYS_DEG:
             break
-    return _Turned(material, tuple(moved), material is not start, index, least)
+    return _Turned(table, tuple(moved), table is not start)
 
 
 def _left_out(material: RuntimeBrdf, light: ObservedLight) -> float:
@@ -157,7 +169,7 @@ def _left_out(material: RuntimeBrdf, light: ObservedLight) -> float:
     return float(torch.stack(off).nanmedian())
 
 
-def fit_at(light: ObservedLight, normal: Tensor, index: float) -> RuntimeBrdf:
+def fit_at(light: ObservedLight, normal: Tensor, index: float) -> IsotropicTable:
     """The BRDF that these pixels show if their normals are these `[3, P]`, in a medium."""
     n, to, view = light.vectors(normal)
     facing = ((n * to).sum(1) * light.strength[:, 0, None]).clamp(min=0)  # [K, 1, P]

@@ -10,7 +10,8 @@ and what passes that face comes on top (Fresnel, on the way in and out); an inde
 from __future__ import annotations
 
 import math
-from functools import cache
+from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from raden_torch.brdf.materials.coat import refracted
 from raden_torch.brdf.materials.microfacet import fresnel
 from raden_torch.brdf.materials.runtime import RuntimeBrdf, runtime_brdf
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
+from raden_torch.geometry import vectors_from_angles
 
 _NODES = (32, 10)
 _LAYOUT = RuntimeLayout((24, 57, 57), (0.4, 0.4))
@@ -32,6 +34,35 @@ _ALONG_H, _ALONG_D = 0.02, 0.5
 """How much a second difference along θ_h, a first along θ_d weighs, of the readings at a node."""
 
 
+@dataclass(frozen=True, eq=False)
+class IsotropicTable:
+    """A table.
+
+    Attributes:
+        nodes: `[H · D, C]` f_r in 1/sr without what the face takes, float64; C = 1 or 3.
+        index: of the medium, 1 or more.
+    """
+
+    nodes: Tensor
+    index: float
+
+    @cached_property
+    def material(self) -> RuntimeBrdf:
+        """As a table that the kernels read."""
+        return runtime_brdf(self._formula, self.nodes, _LAYOUT).float()
+
+    def values(self, angles: Tensor) -> Floats:
+        """`[M, 3]` f_r at incidence, receiving and tilt `[3, M]` in radians."""
+        each = (a.reshape(1, 1, -1, 1) for a in angles)
+        return np.asarray(self._formula(*vectors_from_angles(*each))[0, :, :, 0].T.numpy())
+
+    def _formula(self, n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
+        place, passed = _place(n, l, v, self.index)
+        around = [self.nodes[node] * share[..., None] for node, share in _corners(place)]
+        f = torch.stack(around).sum(0).movedim(-1, 1) * passed[:, None]
+        return f.expand(-1, 3, -1, -1)
+
+
 def fitted(
     n: Tensor,
     l: Tensor,  # noqa: E741
@@ -39,7 +70,7 @@ def fitted(
     readings: Tensor,
     weight: Tensor,
     index: float,
-) -> RuntimeBrdf:
+) -> IsotropicTable:
     """By robust least squares with smoothness where readings are rare.
 
     Args:
@@ -73,27 +104,15 @@ def fitted(
             wide = max(1.4826 * float(np.median(abs(off))), 1e-12)
             robust = 1 / (1 + (off / (_CAUCHY * wide)) ** 2)
         values.append(torch.from_numpy(found.clip(min=0)))
-    return _baked(torch.stack(values, -1), index)
+    return IsotropicTable(torch.stack(values, -1), index)
 
 
-def lobe(width: float, height: float, index: float) -> RuntimeBrdf:
+def lobe(width: float, height: float, index: float) -> IsotropicTable:
     """A matt body and a highlight of so many times its f_r: h exp(−tan²θ_h/(2 w²)), grey, in
     a medium."""
     at_h = np.linspace(0, 1, _NODES[0]) ** (1 / _WARP) * (math.pi / 2)
     f = (1 + height * np.exp(-(np.tan(at_h.clip(max=1.57)) ** 2) / (2 * width**2))) / math.pi
-    return _baked(torch.from_numpy(np.repeat(f, _NODES[1])[:, None]), index)
-
-
-def _baked(values: Tensor, index: float) -> RuntimeBrdf:
-    """Node values `[H · D, C]` as a runtime table, which the kernels read."""
-
-    def formula(n: Tensor, l: Tensor, v: Tensor) -> Tensor:  # noqa: E741
-        place, passed = _place(n, l, v, index)
-        around = [values[node] * share[..., None] for node, share in _corners(place)]
-        f = torch.stack(around).sum(0).movedim(-1, 1) * passed[:, None]
-        return f.expand(-1, 3, -1, -1)
-
-    return runtime_brdf(formula, values, _LAYOUT).float()
+    return IsotropicTable(torch.from_numpy(np.repeat(f, _NODES[1])[:, None]), index)
 
 
 @cache

@@ -178,20 +178,19 @@ def test_normals_and_material_in_turn(scene: Scene) -> None:
     under a clear face are told from a bare surface."""
     found = alternate(scene.light)
     assert found.is_better
-    assert found.index == 1.0
+    assert found.table.index == 1.0
     assert np.median(off_deg(found.found.normal, scene.true)) < 0.25 * matt_error(scene)
     lamps = lamps_around(12)
     linear = photographed(scene.normal, scene.mask, lamps, yakogai)
     coated = replace(scene, linear=linear, lamps=lamps)
     found = alternate(coated.light)
     assert found.is_better
-    assert found.index == 1.5
+    assert found.table.index == 1.5
     assert np.median(off_deg(found.found.normal, scene.true)) < 0.35 * matt_error(coated)
 
 
-def test_of_a_matt_body_the_material_that_it_began_with_stays(shared: Path, tmp_path: Path) -> None:
-    """A real grey sphere, whose outline tells its normals: 4.0 degrees by the Lambertian law, and
-    where turns lead away from it, it stays, and says so."""
+def test_of_a_body_that_is_nearly_matt_it_is_said(shared: Path, tmp_path: Path) -> None:
+    """A real grey sphere, whose outline tells its normals: 4.0 degrees by the Lambertian law."""
     data, lights = shared / "data/photometric_stereo", tmp_path / "lights.json"
     chrome, grey = ([data / f"{n}.{k}.png" for k in range(12)] for n in ("chrome", "gray"))
     lamps = capture_lights(chrome, [data / "chrome.mask.png"], coded="linear").lamps
@@ -200,15 +199,12 @@ def test_of_a_matt_body_the_material_that_it_began_with_stays(shared: Path, tmp_
     ball = ball_from_mask(outline, name="gray.mask.png")
     true, _ = sphere_normals(ball, outline.shape)
     inside = ball.inside(outline.shape, 0.95)
-    with (
-        pytest.warns(UserWarning, match="worse than the body it began with, which is kept"),
-        pytest.warns(UserWarning, match="hardly better than a matt body"),
-    ):
+    with pytest.warns(UserWarning, match="hardly better than a matt body"):
         found = capture_model_normals(
             grey, lights, data / "gray.mask.png", ModelOptions(coded="linear")
         )
     off = angle_deg(found.surface.normal[0][:, inside], true[0][:, inside])
-    assert 3.5 < float(off.median()) < 4.5
+    assert float(off.median()) < 3.7
 
 
 def test_what_cannot_be_found_in_turn_is_said(scene: Scene) -> None:
