@@ -10,10 +10,10 @@ import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.board import Board, BoardView
@@ -23,6 +23,7 @@ from raden_torch.errors import InputError
 from raden_torch.schema import Count, Finite, Matrix, NotNegative, Triple
 
 KIND = "camera"
+Orientation = Annotated[int, Meta(ge=1, le=8)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +34,13 @@ class Camera:
         matrix: `[3, 3]` pixels.
         distortion: `[5]` k1, k2, p1, p2, k3 (or as many as the file has).
         size: height and width of its photographs.
+        orientation: EXIF's, 1…8, by which they were turned; None where nobody says.
     """
 
     matrix: Floats
     distortion: Floats
     size: tuple[int, int]
+    orientation: int | None = None
 
     @property
     def fov_deg(self) -> float:
@@ -54,12 +57,15 @@ class Pose:
         translation_m: `[3]`.
         rms_px: re-projection error, √(mean of the squared distances).
         corners: that the pose was fitted to.
+        orientation: EXIF's, 1…8, by which the photograph is to be turned for it; None: as its own
+            file says.
     """
 
     rotation: Floats
     translation_m: Floats
     rms_px: float
     corners: int
+    orientation: int | None = None
 
 
 class PoseEntry(Struct):
@@ -70,6 +76,7 @@ class PoseEntry(Struct):
     reprojection_rms_px: NotNegative
     rotation_board_to_camera: Matrix
     translation_board_to_camera_m: Triple
+    orientation: Orientation | None = None
 
 
 class CameraFile(Struct):
@@ -79,6 +86,7 @@ class CameraFile(Struct):
     distortion: tuple[Finite, ...]
     image_width_px: Count
     image_height_px: Count
+    orientation: Orientation | None = None
     board: Board | None = None
     poses: tuple[PoseEntry, ...] | None = None
 
@@ -115,6 +123,7 @@ def read_camera(path: str | os.PathLike[str]) -> Camera:
             np.array(found.camera_matrix_px),
             np.array(found.distortion),
             (found.image_height_px, found.image_width_px),
+            found.orientation,
         )
     focal = np.diag(camera.matrix)[:2]
     if not ((focal > 0).all() and min(camera.size) > 0 and camera.matrix[2, 2] == 1):
@@ -150,6 +159,8 @@ def write_camera(
         "image_height_px": camera.size[0],
         "horizontal_field_of_view_deg": round(camera.fov_deg, 3),
     }
+    if camera.orientation is not None:
+        content["orientation"] = camera.orientation
     if calibration is not None:
         content["reprojection_rms_px"] = calibration.rms_px
         content["focal_std_px"] = calibration.focal_std_px
@@ -169,6 +180,7 @@ def write_camera(
             "reprojection_rms_px": pose.rms_px,
             "rotation_board_to_camera": pose.rotation,
             "translation_board_to_camera_m": pose.translation_m,
+            **({} if pose.orientation is None else {"orientation": pose.orientation}),
         }
         for view, pose in zip(views, poses, strict=True)
     ]
@@ -190,6 +202,7 @@ def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
             np.array(pose.translation_board_to_camera_m),
             pose.reprojection_rms_px,
             pose.corners,
+            pose.orientation,
         )
         for pose in found.poses
     }
