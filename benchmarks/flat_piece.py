@@ -301,14 +301,14 @@ def draw(files: list[Path], path: Path) -> None:
         of = [row for row in rows if (row["shell"], row["set_up"]) == (shell, set_up)]
         ax.plot([row["photographs"] for row in of], [100 * row["median"] for row in of], "o-",
                 markersize=4, label=f"{shell}, {set_up}")  # fmt: skip
-    ax.axhline(5, color="0.6", linewidth=0.8, linestyle="--")
     ax.set_xlabel("photographs")
     ax.set_ylabel("median error of Y over the hemisphere (%)")
     ax.set_yscale("log")
     ax.set_xlim(0)
+    ax.set_yticks([0.2, 0.3, 0.5, 1, 2, 3, 5])
     ax.yaxis.set_major_formatter("{x:g}")
-    ax.yaxis.set_minor_formatter("{x:g}")
-    ax.grid(color="0.9", which="both", linewidth=0.5)
+    ax.yaxis.set_minor_formatter("")
+    ax.grid(color="0.9", linewidth=0.5)
     ax.legend(fontsize=8)
     ax.set_title("simulated shells", fontsize=9)
     figure.savefig(path)

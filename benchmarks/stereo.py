@@ -25,12 +25,16 @@ import raden_torch as rt
 from raden_torch.brdf.files.display import srgb_coded
 from raden_torch.capture.photo.ball import ball_from_mask
 from raden_torch.capture.photo.capture_lights import capture_lights
-from raden_torch.capture.photo.capture_normals import capture_normals
+from raden_torch.capture.photo.capture_normals import capture_normals, read_lit_set
 from raden_torch.capture.photo.lamps import Lamps, write_lamps
 from raden_torch.capture.photo.matt_reference import angle_deg, sphere_normals
+from raden_torch.capture.photo.photometric_stereo import solve_normals
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
 from raden_torch.optics.specimens import SPECIMENS, reflectance_factors
+from raden_torch.stereo.alternating import alternate
 from raden_torch.stereo.capture_model_normals import ModelOptions, capture_model_normals
+from raden_torch.stereo.observed_light import sampled, shown
+from raden_torch.stereo.photographed import Photographed
 
 Array = np.ndarray
 MATT = ("least-squares", "selection", "robust")
@@ -199,6 +203,46 @@ def grey_sphere(shared: Path) -> dict:
     return row
 
 
+def held_out(shared: Path, name: str) -> dict:
+    """Real photographs without known normals: each is left out in turn and predicted from the
+    others, by its lamp; the error is relative to the mean of what was photographed."""
+    data, row = shared / "data/photometric_stereo", {"object": f"{name} (real), held out"}
+    off: dict[str, list[Array]] = {"robust": [], "alternating": []}
+    mask = data / f"{name}.mask.png"
+    with TemporaryDirectory() as made, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        folder, every = Path(made), list(range(12))
+        chrome = [data / f"chrome.{k}.png" for k in every]
+        lamps = capture_lights(chrome, [data / "chrome.mask.png"], coded="linear").lamps
+        photos = [data / f"{name}.{k}.png" for k in every]
+        write_lamps(lamps, folder / "lights.json")
+        seen = Photographed.of(read_lit_set(photos, folder / "lights.json", mask, coded="linear"))
+        light = sampled(seen.sample, 2000)
+        for out in every:
+            kept, left = light.under([k for k in every if k != out]), light.under([out])
+            matt = solve_normals(
+                kept.value[:, :, None],
+                kept.light[:, :, 0],
+                intensity=kept.strength[:, 0, 0],
+                saturated=kept.usable[:, :, None] == 0,
+            )
+            normal, albedo = matt.normal[0, :, 0], matt.albedo[0, :, 0]
+            facing = (normal * left.light[0]).sum(0).clamp(min=0) * left.strength[0]
+            found = alternate(kept)
+            radiance = shown(found.table.material, found.found.normal, left)[0] * found.found.gain
+            true = left.value[0]
+            for method, predicted in (("robust", albedo * facing), ("alternating", radiance)):
+                off[method].append(((predicted - true).abs().mean(0) / true.mean()).numpy())
+    for method, each in off.items():
+        row[method] = {
+            "median": round(float(np.median(np.concatenate(each))), 4),
+            "q90": round(float(np.quantile(np.concatenate(each), 0.9)), 4),
+            "median_of_each": [round(float(np.median(one)), 4) for one in each],
+        }
+    print(json.dumps(row), flush=True)
+    return row
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, required=True)
@@ -213,6 +257,7 @@ def main() -> None:
         rows = [simulated_case(models, case, options.side) for case in CASES]
     if (options.shared / "data/photometric_stereo").is_dir():
         rows.append(grey_sphere(options.shared))
+        rows += [held_out(options.shared, name) for name in ("buddha", "gray")]
     options.output.write_text(json.dumps(rows, indent=1) + "\n")
 
 

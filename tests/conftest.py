@@ -61,6 +61,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         item.add_marker(pytest.mark.xdist_group(together.relative_to(config.rootpath).as_posix()))
 
 
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Groups come to nothing, and nobody notices but the clock, where pytest-xdist does not find
+    the node ids where it looks for them."""
+    if getattr(session.config.option, "loadgroup", False):
+        alone = next((item.nodeid for item in session.items if "@" not in item.nodeid), None)
+        assert alone is None, f"pytest-xdist: expected a group of each test, got none of {alone}"
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "dtype" in metafunc.fixturenames:
         names = metafunc.config.getoption("--dtype").split(",")

@@ -271,27 +271,34 @@ def normals(
     ] = None,
     how: NormalsOptions = NormalsOptions(),
 ) -> None:
+    from raden_torch.brdf.files.model_file import save_model
     from raden_torch.capture.photo.normals_file import paths_in, write_normals
     from raden_torch.plots.capture_figures import draw_normals
     from raden_torch.plots.sheet import save_plot
+    from raden_torch.stereo.capture_model_normals import FoundByModel
 
     if output.exists() and not output.is_dir():
         raise InputError(f"{output}: expected a folder, got a file")
     used = without_other_inputs(photos, mask)
-    picture = output / "found.png"
+    picture, material = output / "found.png", output / "material.safetensors"
     if output.is_dir():
         inputs = (*used, lights, mask, how.model, how.colour)
-        check_outputs(*paths_in(output), picture, inputs=inputs)
+        check_outputs(*paths_in(output), picture, material, inputs=inputs)
     with progress("solving normals") as share_done:
         found = how.found(used, lights, mask, share_done)
     output.mkdir(parents=True, exist_ok=True)
-    written = write_normals(
+    made_by = "" if how.model is None else how.model.name
+    written = []
+    if isinstance(found, FoundByModel) and found.material is not None:
+        save_model(found.material, material)
+        written, made_by = [material], material.name
+    written += write_normals(
         found.surface,
         output,
         found.lamps,
         used,
         method=how.said,
-        made_by="" if how.model is None else how.model.name,
+        made_by=made_by,
         exponent=found.exponent,
         order=found.order,
         notes=found.notes,

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from raden_torch.capture.photo.guide.piece import Piece
     from raden_torch.capture.photo.guide.plan import Plan
     from raden_torch.capture.photo.guide.set_up import SetUp
+    from raden_torch.capture.photo.guide.view import View
 
 _SUFFIXES = (".json", ".csv", ".png")
 
@@ -65,8 +66,11 @@ class SetUpOptions:
     set_up: Literal["hand", "turntable", "still"] | None = None
     """hand: camera and lamp are moved; turntable: the piece is turned, and tilted by wedges, and
     the lamp moved; still: the lamp alone; by default hand for a flat piece, still for others"""
-    camera_distance_mm: Annotated[float, Parameter(name="--camera-distance")] = 400.0
-    """mm from the middle of the piece"""
+    camera: Path | None = None
+    """camera file, as of `raden capture calibrate` or `handheld`: the distance is planned for it"""
+    camera_distance_mm: Annotated[float | None, Parameter(name="--camera-distance")] = None
+    """mm from the middle of the piece; by default 400, or with --camera the least from which the
+    piece and half as much around it are seen, 200 or more"""
     camera_angle_deg: Annotated[float, Parameter(name="--camera-angle")] = 40.0
     """degrees from the vertical, of a camera that stands still"""
     camera_to_deg: Annotated[float, Parameter(name="--camera-to")] = 60.0
@@ -76,18 +80,27 @@ class SetUpOptions:
     lamp_to_deg: Annotated[float, Parameter(name="--lamp-to")] = 70.0
     """degrees from the normal of the piece, at most: farther, the white is too dark"""
 
-    def set_up_for(self, piece: Piece) -> SetUp:
+    def set_up_for(self, piece: Piece, view: View | None) -> SetUp:
         from raden_torch.capture.photo.guide.set_up import HAND, STILL, SetUp
 
+        said = self.camera_distance_mm
         usual = HAND if piece.shape == "plane" else STILL
         return SetUp(
             self.set_up or usual,
-            self.camera_distance_mm,
+            view.camera_mm if view is not None else 400.0 if said is None else said,
             self.camera_angle_deg,
             self.lamp_distance_mm,
             self.camera_to_deg,
             self.lamp_to_deg,
         )
+
+    def view_of(self, piece: Piece) -> View | None:
+        from raden_torch.capture.photo.camera import read_camera
+        from raden_torch.capture.photo.guide.view import view_of
+
+        if self.camera is None:
+            return None
+        return view_of(piece, read_camera(self.camera), self.camera_distance_mm)
 
 
 def guide(
@@ -110,13 +123,15 @@ def guide(
     from raden_torch.capture.exchange import load_measurement
     from raden_torch.capture.photo.guide.plan import plan_photographs
 
-    _check_outputs(output, measured)
+    inputs = tuple(path for path in (measured, set_up.camera) if path is not None)
+    _check_outputs(output, inputs)
     what = piece.piece
+    view = set_up.view_of(what)
     known = None if measured is None else load_measurement(measured)
     with progress("choosing where lamp and camera stand") as share_done:
         plan = plan_photographs(
             what,
-            set_up.set_up_for(what),
+            set_up.set_up_for(what, view),
             count,
             assume=assume,
             measured=known,
@@ -124,12 +139,13 @@ def guide(
             progress=share_done,
         )
     for path in output:
-        _write(plan, path, () if measured is None else (measured,))
+        _write(plan, path, inputs)
     if as_json:
         print_json(
             sample=plan.name,
             piece=plan.piece.described(),
             set_up=plan.set_up,
+            view=view,
             assume=plan.assume,
             photographs=plan.stances,
             instructions=plan.instructions(),
@@ -137,16 +153,18 @@ def guide(
         )
         return
     print(plan)
+    if view is not None:
+        print(view)
     for path in output:
         print(f"wrote {path}" + (" (look at it)" if path.suffix.lower() == ".png" else ""))
 
 
-def _check_outputs(paths: tuple[Path, ...], measured: Path | None) -> None:
+def _check_outputs(paths: tuple[Path, ...], inputs: tuple[Path, ...]) -> None:
     from raden_torch.files import check_output, check_outputs
 
     for path in paths:
         check_output(path, _SUFFIXES)
-    check_outputs(*paths, inputs=() if measured is None else (measured,))
+    check_outputs(*paths, inputs=inputs)
 
 
 def _write(plan: Plan, path: Path, made_from: tuple[Path, ...]) -> None:

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from raden_torch.errors import InputError
 from raden_torch.files import check_seekable
+from raden_torch.images.shot_settings import orientation_of
 from raden_torch.packages import require
 
 MAX_PIXELS = 178_956_970
@@ -146,7 +147,7 @@ def _by_pillow(path: str | os.PathLike[str], start: bytes) -> Header:
         32 if mode == "F" else 16 if is_deep else 8,
         "f" if mode == "F" else "u",
         "straight" if has_alpha else "none",
-        _orientation(tags),
+        orientation_of(tags) or 1,
         colour=_colour_tags(path, info, is_adobe=index in ("R03", b"R03", b"R03\0")),
         tags=tags,
     )
@@ -226,7 +227,7 @@ def _tiff(path: str | os.PathLike[str], start: bytes) -> Header:
         bits,
         kind,
         alpha,
-        _orientation(tags),
+        orientation_of(tags) or 1,
         photometric == 0,
         ColourTags(icc=profile if isinstance(profile, bytes) and profile else None),
         tags,
@@ -281,11 +282,6 @@ def _radiance(path: str | os.PathLike[str], start: bytes) -> Header:
         place = ()
     colour = ColourTags(gamma=1.0, chromaticities=place if len(place) == 8 else None)
     return Header("HDR", 32, "f", colour=colour)
-
-
-def _orientation(tags: Mapping[int, Any]) -> int:
-    value = tags.get(274, 1)
-    return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
 def _first(value: Any) -> int:

@@ -101,6 +101,14 @@ def oriented(values: NDArray[Any], orientation: int) -> NDArray[Any]:
     return values[:: -1 if upside_down else 1, :: -1 if mirrored else 1]
 
 
+def turned_to(values: NDArray[Any], own: int, wanted: int) -> NDArray[Any]:
+    """`[H, W, …]` that was turned by EXIF's orientation `own`, turned by `wanted` instead."""
+    if own == wanted:
+        return values
+    back = {6: 8, 8: 6}.get(own, own)  # the others are their own inverse
+    return np.ascontiguousarray(oriented(oriented(values, back), wanted))
+
+
 def divided(colours: NDArray[Any], alpha: NDArray[Any]) -> NDArray[Any]:
     """Colours without the alpha that they were multiplied by, in their own type."""
     if colours.dtype.kind == "f":

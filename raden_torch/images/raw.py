@@ -97,7 +97,7 @@ def read_raw(path: str | os.PathLike[str]) -> RawImage:
         black = turned_cells(black, turned, size)
         pattern = turned_pattern(pattern, turned, size)
     image = np.ascontiguousarray(oriented(values, turned))
-    return RawImage(image, pattern, black, white, colour, said, tags.notes)
+    return RawImage(image, pattern, black, white, colour, {**said, 274: turned}, tags.notes)
 
 
 @contextmanager

@@ -16,6 +16,7 @@ _ALIKE = {
     "lens": "lens",
     "focal_length_mm": "focal length in mm",
     "white_balance": "white balance",
+    "turned": "orientation by EXIF",
 }
 _EXPOSES = {
     "exposure_s": (1.0, "exposure time"),
@@ -37,6 +38,7 @@ class ShotSettings:
         camera: maker and model.
         serial, lens: of the body; its model.
         white_balance: "automatic" or "manual"; raw files have none, which are balanced later.
+        orientation: 1…8, by which the picture was turned as it was read; 1: not at all.
     """
 
     exposure_s: float | None = None
@@ -47,6 +49,12 @@ class ShotSettings:
     serial: str | None = None
     lens: str | None = None
     white_balance: str | None = None
+    orientation: int | None = None
+
+    @property
+    def turned(self) -> int:
+        """The orientation; 1 where none is said."""
+        return self.orientation or 1
 
 
 UNKNOWN = ShotSettings()
@@ -66,7 +74,14 @@ def settings_of(tags: Mapping[int, Any], *, is_raw: bool = False) -> ShotSetting
         _text(tags.get(42033)),
         _text(tags.get(42036)),
         _WHITE_BALANCES.get(balance) if isinstance(balance, int) and not is_raw else None,
+        orientation_of(tags),
     )
+
+
+def orientation_of(tags: Mapping[int, Any]) -> int | None:
+    """EXIF's, 1…8; None where there is none."""
+    value = tags.get(274)
+    return value if isinstance(value, int) and 1 <= value <= 8 else None
 
 
 def settings_in_words(shot: ShotSettings) -> list[str]:
@@ -88,7 +103,7 @@ def settings_in_words(shot: ShotSettings) -> list[str]:
 def check_alike(shots: Sequence[tuple[Path, ShotSettings]]) -> None:
     """Raise InputError, naming two files, where camera, lens, zoom or white balance differ.
 
-    What EXIF does not say of one of them is not compared.
+    What EXIF does not say of one of them is not compared, but an orientation, which is 1 then.
     """
     known: dict[str, tuple[Path, Any]] = {}
     for path, shot in shots:

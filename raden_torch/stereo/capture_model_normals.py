@@ -14,12 +14,14 @@ from torch import Tensor
 from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
+from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.capture.photo.capture_normals import FoundNormals, LitSet, read_lit_set
 from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
 from raden_torch.capture.photo.stored_photograph import Coding
-from raden_torch.stereo.alternating import alternate
+from raden_torch.stereo.alternating import Alternated, alternate
 from raden_torch.stereo.lamp_assignment import agreement
+from raden_torch.stereo.learnt_model import INSTRUMENT, TYPICAL_ALBEDO, albedo_of, learnt_model
 from raden_torch.stereo.photographed import Photographed
 from raden_torch.stereo.solve import Known, ModelNormals, joined, learnt, solve_by_model
 
@@ -43,6 +45,13 @@ class ModelOptions:
     coded: Coding = "auto"
 
 
+@dataclass(frozen=True, eq=False)
+class FoundByModel(FoundNormals):
+    """The surface; and the material where it was found with the normals and is one."""
+
+    material: RadenBrdf | None
+
+
 @torch.no_grad()
 def capture_model_normals(
     photographs: Sequence[Path],
@@ -51,7 +60,7 @@ def capture_model_normals(
     options: ModelOptions,
     *,
     progress: Callable[[float], None] | None = None,
-) -> FoundNormals:
+) -> FoundByModel:
     """Read photographs, lamps and model, check that they belong together, and solve.
 
     Args:
@@ -78,10 +87,10 @@ def capture_model_normals(
     correction = None if options.colour is None else read_colour(options.colour)
     seen = Photographed.of(given, correction)
     notes: list[str] = []
-    some = None
+    some = material = None
     if materials is None:
         learned = alternate(seen.sample, progress=lambda share: done(0.2 + 0.3 * share))
-        materials, some = [learned.material], learned.found
+        materials, some = [learned.table.material], learned.found
         if not learned.gained:
             notes.append(
                 "a BRDF fitted to the normals explains the photographs worse than the body it "
@@ -92,10 +101,13 @@ def capture_model_normals(
                 f"normals and material have not settled: they still move by "
                 f"{learned.moved_deg[-1]:.1f} degrees a turn; more lamps, or a model, would help"
             )
-        if not learned.is_better:
+        if learned.is_better:
+            material = _as_model(learned, photographs)
+        else:
             notes.append(
-                "no material was found that explains the photographs clearly better than a matt "
-                "one; compare with --method robust"
+                "the material that was found predicts a photograph that is left out hardly better "
+                f"than a matt body does (off by {100 * learned.left_out:.1f} % of a pixel's mean, "
+                f"a matt body by {100 * learned.matt_left_out:.1f} %); compare with --method robust"
             )
     else:
         seen = seen.balanced(materials)
@@ -109,7 +121,24 @@ def capture_model_normals(
     for note in notes:
         warnings.warn(note, stacklevel=2)
     surface = as_maps(seen, found, residual)
-    return FoundNormals(surface, given.lamps, given.mask, given.exponent, None, tuple(notes))
+    return FoundByModel(
+        surface, given.lamps, given.mask, given.exponent, None, tuple(notes), material
+    )
+
+
+def _as_model(found: Alternated, photographs: Sequence[Path]) -> RadenBrdf:
+    """Its albedo is an assumption; the photographs tell no more than how it changes."""
+    scale = TYPICAL_ALBEDO / albedo_of(found.table.values)
+    said = {
+        "photographs": [path.name for path in photographs],
+        "medium_index": found.table.index,
+        "left_out": round(found.left_out, 4),
+        "matt_left_out": round(found.matt_left_out, 4),
+        "scale": f"an albedo of {TYPICAL_ALBEDO:g} is assumed",
+    }
+    box = [list(ends) for ends in found.box_deg]
+    provenance = Provenance("", INSTRUMENT, fit={"learnt": said, "box_deg": box})
+    return learnt_model(found.table.values, scale, provenance)
 
 
 def members(model: Reflection) -> list[Reflection]:

@@ -17,16 +17,15 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from raden_torch.arrays import Floats
 from raden_torch.reflectance.few_readings import GRID
 from raden_torch.reflectance.scattered import nodes_read_beside
+from raden_torch.stereo.learnt_model import MEAN, box_of
 from raden_torch.stereo.normal_refine import cauchy_cost
 from raden_torch.stereo.observed_light import ObservedLight, sampled, shown
-from raden_torch.stereo.shell_table import MEAN, ShellTable, body, fitted, readings_deg
+from raden_torch.stereo.shell_table import ShellTable, body, fitted, readings_deg
 from raden_torch.stereo.solve import Known, ModelNormals, solve_by_model
 
 _BODIES = ((8.0, 4.0, 0.0), (15.0, 4.0, 0.0), *((6.0, 6.0, t) for t in (8.0, 12.0, 16.0)),
@@ -126,7 +125,7 @@ def learn_shell(light: ObservedLight, done: Callable[[float], None]) -> LearntSh
         math.sqrt(2 * cost),
         _spread_deg(found.normal),
         float(nodes_read_beside(GRID, angles).mean()),
-        tuple((round(float(low), 1), round(float(high), 1)) for low, high in _ends(angles)),
+        box_of(angles),
     )
 
 
@@ -171,7 +170,3 @@ def _cost(table: ShellTable, light: ObservedLight, found: ModelNormals) -> float
 def _spread_deg(normal: Tensor) -> float:
     mean = normal.mean(1, keepdim=True)
     return float(torch.rad2deg((normal - mean).square().sum(0).mean().sqrt()))
-
-
-def _ends(angles: Floats) -> Floats:
-    return np.stack([angles.min(0), angles.max(0)], 1)

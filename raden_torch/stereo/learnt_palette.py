@@ -15,20 +15,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from raden_torch.brdf.fitting.hemisphere import directional_albedo
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.stereo.inlay import without_rims
 from raden_torch.stereo.learn_shell import MOST_PIXELS, LearntShell, learn_shell
+from raden_torch.stereo.learnt_model import INSTRUMENT, TYPICAL_ALBEDO, albedo_of, learnt_model
 from raden_torch.stereo.observed_light import thinned
 from raden_torch.stereo.photographed import Photographed
 
 MIN_LAMPS, MIN_PIXELS = 5, 60
-INSTRUMENT = "learnt from photographs of an inlay, not measured by an instrument"
 _LEAST_SPREAD_DEG = 2.0
-_ALBEDO, _ALBEDO_TO_DEG = 0.4, 45.0
-"""Of the brightest shell in light up to so many degrees from its normal, where no white is known:
-an assumption."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,25 +105,20 @@ def _model(shell: LearntShell, exposure: float, name: str, photographs: Sequence
     said = {**shell.as_dict(), "photographs": list(photographs)}
     box = [list(ends) for ends in shell.box_deg]
     provenance = Provenance(name, INSTRUMENT, fit={"learnt": said, "box_deg": box})
-    return shell.table.model(shell.scale / exposure, provenance)
+    return learnt_model(shell.table.values, shell.scale / exposure, provenance)
 
 
 def _exposure(found: Sequence[LearntShell], white: float | None) -> float:
     """The photographs' value for a radiance of 1."""
-    albedo = max(shell.scale * _albedo(shell) for shell in found)
+    albedo = max(shell.scale * albedo_of(shell.table.values) for shell in found)
     if white is None:
-        return albedo / _ALBEDO
+        return albedo / TYPICAL_ALBEDO
     if albedo > math.pi * white:
         raise InputError(
             f"white: expected the photographs' value of a white surface, got {white:g}, beside "
             "which the shells would reflect more than all light"
         )
     return math.pi * white
-
-
-def _albedo(shell: LearntShell) -> float:
-    each = directional_albedo(shell.table.model(1.0, Provenance()))
-    return max(value for angle, value in each.items() if angle <= _ALBEDO_TO_DEG)
 
 
 def _notes(found: Sequence[LearntShell], names: Sequence[str]) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -55,6 +56,14 @@ class ObservedLight:
             None if self.surface is None else part(self.surface),
             self.relative,
         )
+
+    def under(self, lamps: Sequence[int]) -> ObservedLight:
+        """Some of the photographs, by their numbers."""
+        parts = {
+            name: getattr(self, name)[list(lamps)]
+            for name in ("value", "usable", "light", "strength")
+        }
+        return replace(self, **parts)
 
     @property
     def pixels(self) -> int:

@@ -20,8 +20,6 @@ from torch import Tensor
 
 from raden_torch.arrays import Floats
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
-from raden_torch.brdf.model.model import Provenance, RadenBrdf
-from raden_torch.brdf.model.reflectance_table import ReflectanceTable
 from raden_torch.brdf.model.runtime_table import RuntimeLayout, angles_of
 from raden_torch.geometry import angles_from_unit_vectors
 from raden_torch.stereo.normal_refine import CAUCHY
@@ -38,14 +36,11 @@ COUNT = math.prod(SHAPE)
 _BAND = 2 * math.prod(SHAPE[1:])
 _FLOOR = 0.01
 """In 1/sr, where the shell's mean is `MEAN`."""
-MEAN = 0.12
-"""f_r of the readings on average: what a table is learnt in, its albedo then below 1."""
 _CURVE = (0.03, 0.003, 0.03)
 """Standard deviation of the second derivatives of log f that are expected, per degree squared."""
 _SLOPE = (0.15, 0.03, 0.15)
 """The same of the first, per degree."""
 _LAYOUT = RuntimeLayout((24, 57, 57), (0.4, 0.4))
-_GRID_DEG = 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +59,9 @@ class ShellTable:
         values = self._at(_runtime_nodes()).reshape(*_LAYOUT.shape, 3)
         return RuntimeBrdf(torch.from_numpy(values).float(), _LAYOUT)
 
-    def model(self, scale: float, provenance: Provenance) -> RadenBrdf:
-        """The same, `scale` times as bright, as a model that a file holds."""
-        a = np.arange(0, 90.1, _GRID_DEG)
-        both = np.arange(-90, 90.1, _GRID_DEG)
-        angles = torch.from_numpy(np.stack(np.meshgrid(a, both, both, indexing="ij"))).deg2rad()
-        values = scale * self._at(_shares(angles.flatten(1))).reshape(*angles.shape[1:], 3)
-        table = ReflectanceTable(
-            torch.from_numpy(values).float(), (0.0, -90.0, -90.0), (_GRID_DEG,) * 3
-        )
-        return RadenBrdf(None, table, provenance=provenance)
+    def values(self, angles: Tensor) -> Floats:
+        """`[M, 3]` f_r at incidence, receiving and tilt `[3, M]` in radians."""
+        return self._at(_shares(angles))
 
     def _at(self, shares: Any) -> Floats:
         return np.asarray(np.clip(np.exp(shares @ self.logs) - _FLOOR, 0, None))

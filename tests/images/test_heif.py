@@ -107,6 +107,8 @@ def test_it_is_turned_once(tmp_path: Path) -> None:
     np.testing.assert_allclose(photo.linear, srgb(np.rot90(values, -1) / 255), atol=1e-5)
     assert photo.exposure_s == pytest.approx(0.01)
     assert (photo.settings.iso, photo.settings.camera) == (50, "Phone")
+    assert photo.settings.orientation == 6
+    np.testing.assert_allclose(photo.turned_to(1).linear, srgb(values / 255), atol=1e-5)
 
 
 @pytest.mark.parametrize("bits", [8, 10])

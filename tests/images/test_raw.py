@@ -79,6 +79,7 @@ def test_the_light_of_a_mosaic(
     seen = (slice(top + top % 2, height - bottom), slice(left + left % 2, width - right))
     expected = oriented(((stored - level) / (white - level))[seen], orientation)
     image = read_raw(path)
+    assert image.tags[274] == orientation
     np.testing.assert_allclose(image.linear()[..., 0], expected, atol=1e-6)
     assert image.pattern == "".join(oriented(letters[seen], orientation)[:2, :2].ravel())
 

@@ -16,7 +16,13 @@ from PIL import Image, ImageOps
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
 from raden_torch.images.mask import read_mask_pixels
-from raden_torch.images.pixels import oriented, read_image, read_pixels, write_pixels
+from raden_torch.images.pixels import (
+    oriented,
+    read_image,
+    read_pixels,
+    turned_to,
+    write_pixels,
+)
 from tests.tiff import tiff
 
 H, W = 6, 7
@@ -260,6 +266,14 @@ def test_pnm_and_hdr(tmp_path: Path) -> None:
 def test_other_formats_are_refused(tmp_path: Path, name: str) -> None:
     Image.fromarray(values("u1")).save(tmp_path / name)
     assert "expected a PNG, JPEG, TIFF" in refused(tmp_path / name)
+
+
+@pytest.mark.parametrize("own", range(1, 9))
+@pytest.mark.parametrize("wanted", range(1, 9))
+def test_one_orientation_instead_of_another(own: int, wanted: int) -> None:
+    grey = values("u1", 1)
+    found = turned_to(oriented(grey, own), own, wanted)
+    np.testing.assert_array_equal(found, oriented(grey, wanted))
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

@@ -47,6 +47,7 @@ def linear(level: int) -> float:
         ({"_42036": "24-70mm"}, "lens: expected 50mm as in {}, got 24-70mm"),
         ({"_37386": 70.0}, "focal length in mm: expected 50 as in {}, got 70"),
         ({"_41987": 0}, "white balance: expected manual as in {}, got automatic"),
+        ({"_274": 3}, "orientation by EXIF: expected 1 as in {}, got 3"),
     ],
 )
 def test_what_may_not_differ(tmp_path: Path, changed: dict[str, Any], said: str) -> None:

@@ -19,7 +19,8 @@ from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.model.model import Provenance
 from raden_torch.errors import InputError
 from raden_torch.stereo import learn_shell
-from raden_torch.stereo.learnt_palette import INSTRUMENT, learn_palette
+from raden_torch.stereo.learnt_model import INSTRUMENT, learnt_model
+from raden_torch.stereo.learnt_palette import learn_palette
 from raden_torch.stereo.shell_table import body
 from raden_torch.stereo.split_pieces import split_pieces
 from tests.stereo.scenes import Shell, lamps_around, unit, write_lights, write_photographs
@@ -170,4 +171,4 @@ def test_a_learnt_model_is_reciprocal(incidence: float, receiving: float, tilt: 
     torch.testing.assert_close(there, back, rtol=1e-3, atol=1e-4)
 
 
-MODEL = body(6.0, 6.0, 12.0).model(0.2, Provenance("shell1", INSTRUMENT))
+MODEL = learnt_model(body(6.0, 6.0, 12.0).values, 0.2, Provenance("shell1", INSTRUMENT))

@@ -15,7 +15,8 @@ from raden_torch.brdf.files.image_file import read_normal_map
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.runtime import runtime_brdf
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
-from tests.stereo.scenes import Scene, Shell, off_deg
+from raden_torch.capture.photo.photograph import read_linear
+from tests.stereo.scenes import Scene, Shell, off_deg, photographed
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +85,41 @@ def test_what_does_not_go_together(raden, folder: Path, tmp_path: Path, more, sa
     assert said in done.stderr
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "n").exists()
+
+
+def test_normals_and_material_relit_under_a_lamp_that_was_held_out(
+    raden, scene: Scene, tmp_path: Path
+) -> None:
+    """Without a model: normals and material of nine photographs show the tenth, but for a scale."""
+    left = replace(scene, linear=scene.linear[:9], lamps=scene.lamps[:9])
+    photos = left.write(tmp_path)
+    out, mask = tmp_path / "n", tmp_path / "mask.png"
+    known = ("--lights", tmp_path / "lights.json", "--mask", mask, "--coded", "linear")
+    done = raden("capture", "normals", *photos, *known, "--method", "alternating", "-o", out)
+    assert done.returncode == 0, done.stderr
+    model = out / "material.safetensors"
+    assert json.loads((out / "normals.json").read_text())["model"] == model.name
+    told = rt.load_model(model).provenance
+    assert told.instrument == "learnt from photographs, not measured by an instrument"
+    assert told.fit["learnt"]["photographs"] == [path.name for path in photos]
+    light = ",".join(f"{x:.6f}" for x in scene.lamps[9])
+    more = ("--mask", mask, "--model", model, f"--light={light}", "--linear")
+    relit = tmp_path / "relit.exr"
+    done = raden("relight", photos[0], "--normals", out / "normals.png", *more, "-o", relit)
+    assert done.returncode == 0, done.stderr
+    shown = read_linear(relit, coded="linear").linear[scene.mask]
+    true = scene.linear[9][scene.mask]
+    off = abs(shown * np.median(true / shown.clip(1e-6)) - true).mean(1) / true.mean()
+    assert np.median(off) < 0.03
+
+
+def test_no_material_is_written_of_what_is_matt(raden, scene: Scene, tmp_path: Path) -> None:
+    brdf = lambda n, to: np.full(n.shape, 0.2)  # noqa: E731
+    linear = photographed(scene.normal, scene.mask, scene.lamps, brdf)
+    photos = replace(scene, linear=linear).write(tmp_path)
+    known = ("--lights", tmp_path / "lights.json", "--mask", tmp_path / "mask.png")
+    words = ["capture", "normals", *photos, *known, "--coded", "linear", "-o", tmp_path / "n"]
+    done = raden(*words, "--method", "alternating", warn="default")
+    assert done.returncode == 0, done.stderr
+    assert "hardly better than a matt body" in done.stderr
+    assert not (tmp_path / "n/material.safetensors").exists()

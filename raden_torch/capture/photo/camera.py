@@ -10,10 +10,10 @@ import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.board import Board, BoardView
@@ -24,6 +24,7 @@ from raden_torch.schema import Count, Finite, Matrix, NotNegative, Triple
 
 KIND = "camera"
 _Six = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
+Orientation = Annotated[int, Meta(ge=1, le=8)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +35,13 @@ class Camera:
         matrix: `[3, 3]` pixels.
         distortion: `[5]` k1, k2, p1, p2, k3 (or as many as the file has).
         size: height and width of its photographs.
+        orientation: EXIF's, 1…8, by which they were turned; None where nobody says.
     """
 
     matrix: Floats
     distortion: Floats
     size: tuple[int, int]
+    orientation: int | None = None
 
     @property
     def fov_deg(self) -> float:
@@ -57,6 +60,8 @@ class Pose:
         corners: that the pose was fitted to.
         covariance: `[6, 6]` of a small turn of the board about the camera's axes (radians) and of
             `translation_m`; None where nothing is known.
+        orientation: EXIF's, 1…8, by which the photograph is to be turned for it; None: as its own
+            file says.
     """
 
     rotation: Floats
@@ -83,6 +88,8 @@ class Pose:
         variance, axes = np.linalg.eigh(self.covariance)
         return list((axes * np.sqrt(variance.clip(min=0))).T)
 
+    orientation: int | None = None
+
 
 class PoseEntry(Struct):
     """One photograph of a camera file."""
@@ -93,6 +100,7 @@ class PoseEntry(Struct):
     rotation_board_to_camera: Matrix
     translation_board_to_camera_m: Triple
     turn_and_translation_covariance: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
+    orientation: Orientation | None = None
 
 
 class CameraFile(Struct):
@@ -102,6 +110,7 @@ class CameraFile(Struct):
     distortion: tuple[Finite, ...]
     image_width_px: Count
     image_height_px: Count
+    orientation: Orientation | None = None
     board: Board | None = None
     poses: tuple[PoseEntry, ...] | None = None
 
@@ -138,6 +147,7 @@ def read_camera(path: str | os.PathLike[str]) -> Camera:
             np.array(found.camera_matrix_px),
             np.array(found.distortion),
             (found.image_height_px, found.image_width_px),
+            found.orientation,
         )
     focal = np.diag(camera.matrix)[:2]
     if not ((focal > 0).all() and min(camera.size) > 0 and camera.matrix[2, 2] == 1):
@@ -173,6 +183,8 @@ def write_camera(
         "image_height_px": camera.size[0],
         "horizontal_field_of_view_deg": round(camera.fov_deg, 3),
     }
+    if camera.orientation is not None:
+        content["orientation"] = camera.orientation
     if calibration is not None:
         content["reprojection_rms_px"] = calibration.rms_px
         content["focal_std_px"] = calibration.focal_std_px
@@ -197,6 +209,7 @@ def write_camera(
                 if pose.covariance is None
                 else {"turn_and_translation_covariance": pose.covariance}
             ),
+            **({} if pose.orientation is None else {"orientation": pose.orientation}),
         }
         for view, pose in zip(views, poses, strict=True)
     ]
@@ -218,9 +231,10 @@ def read_poses(path: str | os.PathLike[str]) -> tuple[Board, dict[str, Pose]]:
             np.array(pose.translation_board_to_camera_m),
             pose.reprojection_rms_px,
             pose.corners,
-            None
+            covariance=None
             if pose.turn_and_translation_covariance is None
             else np.array(pose.turn_and_translation_covariance),
+            orientation=pose.orientation,
         )
         for pose in found.poses
     }

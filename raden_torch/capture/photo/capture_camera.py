@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,10 +21,10 @@ from raden_torch.capture.photo.checking_picture import (
     side_by_side,
     small,
 )
-from raden_torch.capture.photo.photograph import read_stored
+from raden_torch.capture.photo.photograph import read_turned
 from raden_torch.capture.photo.result_file import check_result_path
 from raden_torch.errors import InputError
-from raden_torch.images.pixels import write_pixels
+from raden_torch.images.pixels import turned_to, write_pixels
 
 PathLike = str | os.PathLike[str]
 
@@ -38,7 +39,8 @@ def capture_camera(
 ) -> str:
     """Find the board in photographs, calibrate the camera or take a known one, write both.
 
-    Photographs without a board are named in a warning and left out.
+    Photographs without a board are named in a warning and left out. Those whose EXIF says another
+    orientation than the first's (or the known camera's) are read as one sensor has them.
 
     Args:
         camera: a camera file: only the board's poses are looked for then.
@@ -53,7 +55,9 @@ def capture_camera(
     check_result_path(output)
     sheet_path = picture_path(picture, output)
     known = None if camera is None else read_camera(camera)
-    views, frames = _views(paths, board, enough=3 if known is None else 1)
+    least = 3 if known is None else 1
+    way = None if known is None else known.orientation
+    views, frames, way, others = _views(paths, board, enough=least, orientation=way)
     calibration: Calibration | None = None
     poses: Sequence[Pose]
     if known is None:
@@ -61,6 +65,9 @@ def capture_camera(
         known, poses = calibration.camera, calibration.poses
     else:
         poses = [board_pose(view, known) for view in views]
+    known = replace(known, orientation=way)
+    if others:
+        poses = [replace(pose, orientation=way) for pose in poses]
     frames = [
         captioned(frame, f"{Path(view.name).name}: {pose.corners} corners, {pose.rms_px:.2f} px")
         for frame, view, pose in zip(frames, views, poses, strict=True)
@@ -72,6 +79,11 @@ def capture_camera(
         f"board at {np.linalg.norm(pose.translation_m):.3f} m"
         for view, pose in zip(views, poses, strict=True)
     ]
+    if others:
+        lines.append(
+            f"{others[0]}: EXIF says another orientation ({len(others)} photographs); all are read "
+            f"as one sensor has them, turned by orientation {way}"
+        )
     if calibration is not None:
         focal = np.diag(known.matrix)[:2]
         lines += [
@@ -84,14 +96,29 @@ def capture_camera(
 
 
 def _views(
-    paths: Sequence[PathLike], board: Board, *, enough: int
-) -> tuple[list[BoardView], list[NDArray[np.uint8]]]:
-    """The boards found, and a small picture of each; what is missing is warned of."""
+    paths: Sequence[PathLike], board: Board, *, enough: int, orientation: int | None
+) -> tuple[list[BoardView], list[NDArray[np.uint8]], int | None, list[str]]:
+    """The boards found, and a small picture of each; what is missing is warned of.
+
+    Args:
+        orientation: EXIF's, by which all are turned; None, or where the first one says none: the
+            first one's.
+
+    Returns:
+        Beside these the orientation, and the names of files that say another.
+    """
     views: list[BoardView] = []
     frames: list[NDArray[np.uint8]] = []
     wrong: list[str] = []
+    others: list[str] = []
     for path in _progress(paths, "looking for the board"):
-        picture = read_stored(path)
+        picture, own = read_turned(path)
+        if path == paths[0] and (orientation is None or own is None):
+            orientation = own
+        orientation = orientation or 1
+        picture = turned_to(picture, own or 1, orientation)
+        if (own or 1) != orientation:
+            others.append(Path(path).name)
         try:
             view = find_board(picture, board, str(path))
         except InputError as error:
@@ -108,7 +135,7 @@ def _views(
         )
     for message in wrong:
         warnings.warn(f"left out: {message}", stacklevel=3)
-    return views, frames
+    return views, frames, orientation, others
 
 
 def _progress(paths: Sequence[PathLike], what: str) -> Iterable[PathLike]:

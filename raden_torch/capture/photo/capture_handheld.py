@@ -11,10 +11,16 @@ from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats, Floats32
 from raden_torch.capture.photo.brdf.rays import Y_UP
-from raden_torch.capture.photo.camera import Calibration, Camera, Pose
+from raden_torch.capture.photo.camera import Calibration, Camera, Pose, read_camera
 from raden_torch.capture.photo.handheld.camera_poses import camera_and_poses, too_few
 from raden_torch.capture.photo.handheld.choosing import spread_out
-from raden_torch.capture.photo.handheld.footage import Clip, Picture, clips_of, pictures
+from raden_torch.capture.photo.handheld.footage import (
+    Clip,
+    Picture,
+    clips_of,
+    in_one_frame,
+    pictures,
+)
 from raden_torch.capture.photo.handheld.handheld_setup import FEWEST, HandheldSetup
 from raden_torch.capture.photo.handheld.judging import Judged, judged, reasons
 from raden_torch.capture.photo.handheld.lamp_fit import FoundLamp, LampSetting, find_lamp
@@ -119,7 +125,8 @@ def capture_handheld(
             pictures left, with the reasons.
     """
     done = progress or (lambda share: None)
-    clips = clips_of(paths)
+    known = None if setup.camera is None else read_camera(setup.camera)
+    clips = in_one_frame(clips_of(paths), None if known is None else known.orientation)
     looked = judged(
         clips,
         setup.board,
@@ -129,7 +136,8 @@ def capture_handheld(
     )
     found_board = next(each.view.board for each in looked if each.view is not None)
     setup = replace(setup, board=found_board)
-    camera, calibration, looked, poses = camera_and_poses(looked, setup)
+    camera, calibration, looked, poses = camera_and_poses(looked, setup, known)
+    camera = replace(camera, orientation=clips[0].orientation)
     notes = [] if calibration is None else list(calibration.notes)
     done(0.75)
     table = _srgb() if setup.response is None else setup.response
@@ -163,6 +171,7 @@ def capture_handheld(
     done(0.97)
     exposures = exposures_of(kept_places, lamps_m, setup, table)
     notes += [
+        *_turned(clips, looked),
         *_without_pictures(clips, looked, chosen),
         *_said(lamps, lit, exposures, setup, clips),
     ]
@@ -289,6 +298,17 @@ def _covered(setup: HandheldSetup) -> NDArray[np.bool_]:
 
 def _srgb() -> Floats32:
     return SRGB_SPACE.table(255)[:, 0]
+
+
+def _turned(clips: Sequence[Clip], looked: Sequence[Judged]) -> list[str]:
+    other = [each.name for each in looked if each.other_way]
+    if not other:
+        return []
+    which = other[0] if len(other) == 1 else f"{other[0]} … ({len(other)} pictures)"
+    return [
+        f"{which}: the file says another orientation than the first's or the camera file's; all "
+        f"are read as one sensor has them, turned by EXIF's orientation {clips[0].orientation}"
+    ]
 
 
 def _without_pictures(

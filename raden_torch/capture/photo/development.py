@@ -36,6 +36,7 @@ class Development:
         darks: frames taken with the lens covered.
         dark_exposures_s: seconds, one for each dark frame; empty: as EXIF says.
         flat: a frame of an evenly lit white sheet.
+        orientation: EXIF's, 1…8, by which all are turned; None: each as its own file says.
         response: recover the response from the photographs, which are an exposure stack of 8 bits.
     """
 
@@ -46,6 +47,7 @@ class Development:
     darks: tuple[Path, ...] = ()
     dark_exposures_s: tuple[float, ...] = ()
     flat: Path | None = None
+    orientation: int | None = None
     response: bool = False
 
 
@@ -97,13 +99,14 @@ def developed(
 
 
 def _read(path: PathLike, how: Development, exposure_s: float | None) -> Photograph:
-    return read_linear(
+    photo = read_linear(
         path,
         coded=how.coded,
         pattern=how.pattern,
         white_level=how.white_level,
         exposure_s=exposure_s,
     )
+    return photo if how.orientation is None else photo.turned_to(how.orientation)
 
 
 def _times(paths: Sequence[PathLike], stated: Sequence[float], what: str) -> Sequence[float | None]:

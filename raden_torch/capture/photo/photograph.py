@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,10 @@ from raden_torch.capture.photo.stored_values import LinearValues, linear_values
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import SRGB_SPACE, in_srgb
 from raden_torch.images.mosaic import demosaiced
-from raden_torch.images.pixels import read_image
+from raden_torch.images.pixels import read_image, turned_to
 from raden_torch.images.raw import is_raw
 from raden_torch.images.raw_image import RawColour
-from raden_torch.images.shot_settings import UNKNOWN, ShotSettings
+from raden_torch.images.shot_settings import UNKNOWN, ShotSettings, orientation_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +68,17 @@ class Photograph:
         """`[H, W, 3]` of an RGB photograph for a person or a detector, by `shown`; the camera's RGB
         where nobody knows its way to sRGB's."""
         return shown(in_srgb(self.linear, None if self.colour is None else self.colour.to_srgb))
+
+    def turned_to(self, orientation: int) -> Photograph:
+        """The same, without a mosaic, turned by this EXIF orientation instead of its own."""
+        own = self.settings.turned
+        return replace(
+            self,
+            linear=turned_to(self.linear, own, orientation),
+            saturated=turned_to(self.saturated, own, orientation),
+            rounding=turned_to(self.rounding, own, orientation),
+            settings=replace(self.settings, orientation=orientation),
+        )
 
 
 def read_linear(
@@ -136,16 +147,25 @@ def read_stored(path: str | os.PathLike[str]) -> NDArray[Any]:
     Raises:
         InputError: as for `read_linear`.
     """
+    return read_turned(path)[0]
+
+
+def read_turned(path: str | os.PathLike[str]) -> tuple[NDArray[Any], int | None]:
+    """What `read_stored` gives, and the EXIF orientation, 1…8, by which it was turned; None where
+    the file says none."""
     path = Path(path)
     if is_raw(path):
-        return read_linear(path).seen
-    is_exr = path.suffix.lower() == ".exr"
-    pixels: NDArray[Any] = exr_colour(path) if is_exr else read_image(path).rgb
+        photo = read_linear(path)
+        return photo.seen, photo.settings.orientation
+    if path.suffix.lower() == ".exr":
+        return shown(exr_colour(path)), None
+    image = read_image(path)
+    pixels, orientation = image.rgb, orientation_of(image.header.tags)
     if pixels.dtype == np.uint8:
-        return pixels
+        return pixels, orientation
     if pixels.dtype.kind == "u":
-        return (pixels >> 8).astype(np.uint8)
-    return shown(pixels)
+        return (pixels >> 8).astype(np.uint8), orientation
+    return shown(pixels), orientation
 
 
 def shown(linear: NDArray[Any]) -> NDArray[np.uint8]:

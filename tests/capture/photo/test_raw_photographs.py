@@ -54,7 +54,9 @@ def test_a_raw_file_is_the_cameras_own_rgb(write: Callable[..., Path]) -> None:
     np.testing.assert_allclose(photo.rounding, step / np.sqrt(12), rtol=1e-5)
     assert (photo.pattern, photo.bits, photo.exposure_s) == ("RGGB", 16, pytest.approx(1 / 50))
     assert photo.colour is not None
-    expected = ShotSettings(pytest.approx(1 / 50), 100, 4.0, 50.0, "Nobody Box 1", "77")
+    expected = ShotSettings(
+        pytest.approx(1 / 50), 100, 4.0, 50.0, "Nobody Box 1", "77", orientation=1
+    )
     assert photo.settings == expected
     kept = read_linear(path, keep_mosaic=True)
     np.testing.assert_allclose(kept.linear[0, :2, 0], (0.2, 0.4), atol=0.51 * step)

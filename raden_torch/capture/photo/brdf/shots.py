@@ -60,9 +60,15 @@ def shots_of(
     chosen = _lamps(groups, lamps, setup.lights, setup.lamps)
     ways = _ways(groups, setup.development)
     return [
-        Shot(group, lamp, _pose(group, poses), way)
+        _shot(group, lamp, _pose(group, poses), way)
         for group, lamp, way in zip(groups, chosen, ways, strict=True)
     ]
+
+
+def _shot(files: tuple[Path, ...], lamp: int, pose: Pose | None, how: Development) -> Shot:
+    if pose is not None and pose.orientation is not None:
+        how = replace(how, orientation=pose.orientation)
+    return Shot(files, lamp, pose, how)
 
 
 def _lamps(

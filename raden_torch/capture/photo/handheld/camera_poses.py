@@ -9,7 +9,7 @@ import numpy as np
 from raden_torch.capture.photo.board import BoardView
 from raden_torch.capture.photo.board_pose import board_pose
 from raden_torch.capture.photo.calibration import calibrate
-from raden_torch.capture.photo.camera import Calibration, Camera, Pose, read_camera
+from raden_torch.capture.photo.camera import Calibration, Camera, Pose
 from raden_torch.capture.photo.handheld.card_checks import (
     MOST_RMS_PX,
     bent,
@@ -28,20 +28,24 @@ is calibrated on the pictures themselves: it is another."""
 
 
 def camera_and_poses(
-    looked: list[Judged], setup: HandheldSetup
+    looked: list[Judged], setup: HandheldSetup, known: Camera | None
 ) -> tuple[Camera, Calibration | None, list[Judged], dict[int, Pose]]:
-    """The camera; the pictures again, some of them refused; and the poses of the others."""
+    """The camera; the pictures again, some of them refused; and the poses of the others.
+
+    Args:
+        known: what the setup's camera file holds; None: calibrated on the pictures.
+    """
     sharp = [k for k, each in enumerate(looked) if each.view is not None and not each.refused]
     if len(sharp) < FEWEST:
         raise InputError(too_few(looked, len(sharp)))
     best = sorted(sharp, key=lambda k: -len(_view(looked[k]).ids))
     some = [_view(looked[k]) for k in best[:: max(1, len(best) // _CALIBRATED_ON)]]
     calibration = calibrate(some[:_CALIBRATED_ON])
-    camera = calibration.camera if setup.camera is None else read_camera(setup.camera)
+    camera = calibration.camera if known is None else known
     poses = {k: board_pose(_view(looked[k]), camera) for k in sharp}
     rms = float(np.median([pose.rms_px for pose in poses.values()]))
     own = float(np.median([pose.rms_px for pose in calibration.poses]))
-    if setup.camera is not None and rms > max(_TWICE * own, own + _MORE_PX):
+    if known is not None and rms > max(_TWICE * own, own + _MORE_PX):
         raise InputError(
             f"{setup.camera}: expected the camera that took these pictures, got one by which the "
             f"board's corners lie {rms:.1f} px off ({own:.1f} px by the pictures themselves): "
@@ -59,7 +63,7 @@ def camera_and_poses(
     wrong = bent(heights_m(views, camera, list(poses.values())), setup.board.square_m)
     if wrong is not None:
         raise InputError(f"{looked[0].name} …: {wrong}")
-    return camera, None if setup.camera else calibration, looked, poses
+    return camera, calibration if known is None else None, looked, poses
 
 
 def too_few(looked: Sequence[Judged], count: int) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from raden_torch.capture.photo.photograph import read_stored
 from raden_torch.capture.photo.stored_photograph import read_photograph
 from raden_torch.errors import InputError
+from raden_torch.images.pixels import turned_to
 from raden_torch.images.shot_settings import UNKNOWN, ShotSettings
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".3gp")
 _STILL_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".heic", ".heif")
 _MOST_PIXELS = 100_000_000
+_OF_VIDEOS = {0: 1, 90: 6, 180: 3, 270: 8}
+"""Degrees clockwise by which a video is turned → EXIF's orientation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +33,14 @@ class Clip:
         name: of the video or folder, for messages.
         stills: the files; none of a video.
         video: the file; None of stills.
+        orientation: EXIF's, 1…8, by which all pictures are turned; None: each as its own file says.
+            Those of one sensor need one, as its lens is not turned with the picture.
     """
 
     name: str
     stills: tuple[Path, ...] = ()
     video: Path | None = None
+    orientation: int | None = None
 
     def __len__(self) -> int:
         """Pictures, of a video as its header says (0: it does not)."""
@@ -57,6 +63,7 @@ class Picture:
         pixels: `[H, W, 3]` RGB of 8 bits, as stored.
         settings: of the camera, by EXIF; unknown of a frame.
         is_srgb: its file names no other primaries than sRGB's.
+        other_way: its file says another orientation than the clip.
     """
 
     name: str
@@ -65,6 +72,16 @@ class Picture:
     pixels: NDArray[np.uint8]
     settings: ShotSettings = UNKNOWN
     is_srgb: bool = True
+    other_way: bool = False
+
+    def turned_to(self, orientation: int | None) -> Picture:
+        """The same, turned by this EXIF orientation instead of its own; None: as it is."""
+        own = self.settings.turned
+        if orientation is None or orientation == own:
+            return self
+        pixels = turned_to(self.pixels, own, orientation)
+        settings = replace(self.settings, orientation=orientation)
+        return replace(self, pixels=pixels, settings=settings, other_way=True)
 
 
 def clips_of(paths: Sequence[Path]) -> list[Clip]:
@@ -111,12 +128,13 @@ def pictures(clip: Clip, place: int, wanted: Collection[int] | None = None) -> I
     if clip.video is None:
         for k, path in enumerate(clip.stills):
             if wanted is None or k in wanted:
-                yield _still(path, place, k)
+                yield _still(path, place, k).turned_to(clip.orientation)
         return
     import cv2
 
     stem, last = clip.video.stem, max(wanted, default=-1) if wanted is not None else None
     with _opened(clip.video) as frames:
+        own = _orientation_of(frames)
         number = 0
         while last is None or number <= last:
             if not frames.grab():
@@ -132,10 +150,36 @@ def pictures(clip: Clip, place: int, wanted: Collection[int] | None = None) -> I
                         f"pixels, got {bgr.shape[1]} x {bgr.shape[0]}"
                     )
                 rgb = np.ascontiguousarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB))
-                yield Picture(f"{stem}_{number:06d}.png", place, number, rgb)
+                frame = Picture(f"{stem}_{number:06d}.png", place, number, rgb, own)
+                yield frame.turned_to(clip.orientation)
             number += 1
     if number == 0 and (wanted is None or wanted):
         raise InputError(f"{clip.video}: expected a video, got one without frames")
+
+
+def in_one_frame(clips: Sequence[Clip], orientation: int | None) -> list[Clip]:
+    """The clips, all their pictures turned as the sensor's are by one EXIF orientation.
+
+    Args:
+        orientation: 1…8; None, or where the first picture says none: the first picture's.
+
+    Raises:
+        InputError: as for `pictures`.
+    """
+    first = next(pictures(clips[0], 0), None)
+    settings = UNKNOWN if first is None else first.settings
+    if orientation is None or settings.orientation is None:
+        orientation = settings.turned
+    return [replace(clip, orientation=orientation) for clip in clips]
+
+
+def _orientation_of(frames: Any) -> ShotSettings:
+    """How OpenCV turns the frames of an open video as it reads them."""
+    import cv2
+
+    turned = bool(frames.get(cv2.CAP_PROP_ORIENTATION_AUTO))
+    degrees = round(frames.get(cv2.CAP_PROP_ORIENTATION_META)) % 360 if turned else 0
+    return replace(UNKNOWN, orientation=_OF_VIDEOS.get(degrees, 1))
 
 
 def _still(path: Path, place: int, number: int) -> Picture:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from msgspec import Struct
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.brdf.rays import MM, Y_UP
-from raden_torch.capture.photo.camera import write_camera
+from raden_torch.capture.photo.camera import Pose, write_camera
 from raden_torch.capture.photo.capture_handheld import Handheld
 from raden_torch.capture.photo.handheld.footage import pictures
 from raden_torch.capture.photo.handheld.response_fit import write_response
@@ -77,7 +77,7 @@ def write_handheld(found: Handheld, folder: Path) -> list[Path]:
         paths.camera,
         found.camera,
         [view for view in views if view is not None],
-        found.poses,
+        _poses(found),
         calibration=found.calibration,
         made_from=photographs,
     )
@@ -88,6 +88,14 @@ def write_handheld(found: Handheld, folder: Path) -> list[Path]:
         paths.response.unlink(missing_ok=True)
     write_result(paths.report, "handheld", _report(found), made_from=[c.name for c in found.clips])
     return photographs
+
+
+def _poses(found: Handheld) -> list[Pose]:
+    """With the orientation by which stills are to be turned, where their files say another."""
+    if not any(each.other_way for each in found.kept):
+        return found.poses
+    way = [None if found.clips[k.clip].video else found.camera.orientation for k in found.kept]
+    return [replace(pose, orientation=w) for pose, w in zip(found.poses, way, strict=True)]
 
 
 def next_command(

@@ -32,6 +32,7 @@ class Judged:
         blur: of the board's edges.
         refused: why it is not kept, in a few words; "" where it may be.
         thumbnail: `[h, w, 3]`, for the sheet.
+        other_way: as of `Picture`.
     """
 
     name: str
@@ -42,6 +43,7 @@ class Judged:
     blur: Blur | None
     refused: str
     thumbnail: NDArray[np.uint8]
+    other_way: bool = False
 
     @property
     def reason(self) -> str:
@@ -144,8 +146,9 @@ def _judge(picture: Picture, board: Board, most_blur_px: float) -> Judged:
             what = "moved" if blur.is_motion else "out of focus"
             refused = f"{what}: edges are blurred by {blur.worst_px:.1f} px"
     return Judged(
-        picture.name, picture.clip, picture.number, (height, width), view, blur, refused, small
-    )
+        picture.name, picture.clip, picture.number, (height, width), view, blur, refused, small,
+        picture.other_way,
+    )  # fmt: skip
 
 
 def _check_size(picture: Picture, others: Sequence[Judged]) -> None:

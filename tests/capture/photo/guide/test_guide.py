@@ -15,11 +15,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import raden_torch as rt
+from raden_torch.capture.photo.camera import Camera
 from raden_torch.capture.photo.guide.choice import Knowledge, hemisphere_deg
 from raden_torch.capture.photo.guide.piece import Piece
 from raden_torch.capture.photo.guide.plan import plan_photographs
 from raden_torch.capture.photo.guide.plan_file import read_plan
 from raden_torch.capture.photo.guide.set_up import ABOVE_MM, BODY_MM, SetUp, stances
+from raden_torch.capture.photo.guide.view import AROUND, NEAREST_MM, view_of
 from raden_torch.errors import InputError
 from raden_torch.plots.guide_figure import first_photograph
 from raden_torch.reflectance.log_readings import LogReadings
@@ -144,6 +146,63 @@ def test_the_command_writes_what_it_prints(raden: Command, tmp_path: Path) -> No
     table = raden("capture", "guide", "--set-up", "turntable", "--count", 2)
     assert "table turned" in table.stdout
     assert "wedge" in table.stdout
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    st.sampled_from([Piece.flat(100, 80), Piece.flat(30, 10), Piece.rod(60, 20), Piece.button(40)]),
+    st.floats(300, 3000),
+    st.floats(-150, 150),
+    st.floats(0, 85),
+    st.floats(0, 360),
+)
+def test_what_a_camera_sees_from_its_distance(
+    piece: Piece, focal: float, shift: float, away: float, turn: float
+) -> None:
+    """Wherever the camera stands, the ball that is said to be seen projects into its picture and
+    touches its edge from one side; the piece's points lie in it."""
+    matrix = np.array([[focal, 0, 479.5 + shift], [0, focal, 269.5], [0, 0, 1]])
+    camera = Camera(matrix, np.zeros(5), (540, 960))
+    view = view_of(piece, camera)
+    assert view.seen_mm >= AROUND * view.reach_mm - 1e-6
+    assert view.camera_mm == NEAREST_MM or view.seen_mm < (AROUND + 0.1) * view.reach_mm + 10
+    way = polar(away, turn)
+    x = np.cross(way, polar(away + 90, turn))
+    axes = np.stack([x, np.cross(-way, x), -way])
+    points = piece.points @ axes.T + [0, 0, view.camera_mm]
+    pixels = (points @ matrix.T)[:, :2] / points[:, 2:]
+    assert (pixels > -0.5).all()
+    assert (pixels < [959.5, 539.5]).all()
+    # the cone around the axis that touches the ball meets the nearest edge
+    edge = np.tan(np.arcsin(view.seen_mm / view.camera_mm)) * focal
+    middle = matrix[:2, 2] + 0.5
+    assert edge == pytest.approx(min(*middle, *([960, 540] - middle)))
+
+
+def test_the_distance_is_planned_for_a_camera(raden: Command, tmp_path: Path) -> None:
+    content = {
+        **{"format": "raden capture", "version": 1, "kind": "camera", "distortion": [0.0] * 5},
+        **{"image_width_px": 960, "image_height_px": 540},
+        "camera_matrix_px": [[770, 0, 479.5], [0, 770, 269.5], [0, 0, 1]],
+    }
+    camera = tmp_path / "camera.json"
+    camera.write_text(json.dumps(content))
+    words = ["capture", "guide", "--size", "100x80", "--count", 1, "--camera", camera]
+    done = raden(*words, "--json", "-o", tmp_path / "plan.json")
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["view"]["camera_mm"] == said["set_up"]["camera_mm"] == 300.0
+    assert said["view"]["reach_mm"] == pytest.approx(np.hypot(50, 40))
+    place = read_plan(tmp_path / "plan.json").photographs[0].camera_mm
+    assert np.linalg.norm(place) == pytest.approx(300, abs=0.1)
+    farther = raden(*words, "--camera-distance", 385)
+    assert "camera 38.5 cm away: 0.5 mm a pixel; 127 mm around the piece's" in farther.stdout
+    nearer = raden(*words, "--camera-distance", 190)
+    assert nearer.returncode == 2
+    assert "distance: expected 194 mm or more, from which this camera sees" in nearer.stderr
+    content["camera_matrix_px"][0][2] = -5
+    camera.write_text(json.dumps(content))
+    assert "expected its optical axis within the picture" in raden(*words).stderr
 
 
 @pytest.mark.parametrize(
