@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.board import Board, BoardView, draw_board, find_board
+from raden_torch.capture.photo.board_not_found import where_others_show_it
 from raden_torch.capture.photo.board_pose import board_pose
 from raden_torch.capture.photo.calibration import calibrate
 from raden_torch.capture.photo.camera import Calibration, Pose, read_camera, write_camera
@@ -65,9 +66,10 @@ def capture_camera(
         known, poses = calibration.camera, calibration.poses
     else:
         poses = [board_pose(view, known) for view in views]
-    known = replace(known, orientation=way)
     if others:
+        way = way or 1
         poses = [replace(pose, orientation=way) for pose in poses]
+    known = replace(known, orientation=way)
     frames = [
         captioned(frame, f"{Path(view.name).name}: {pose.corners} corners, {pose.rms_px:.2f} px")
         for frame, view, pose in zip(frames, views, poses, strict=True)
@@ -105,7 +107,8 @@ def _views(
             first one's.
 
     Returns:
-        Beside these the orientation, and the names of files that say another.
+        Beside these the orientation (None where the first one says none), and the names of
+        files that say another.
     """
     views: list[BoardView] = []
     frames: list[NDArray[np.uint8]] = []
@@ -115,9 +118,8 @@ def _views(
         picture, own = read_turned(path)
         if path == paths[0] and (orientation is None or own is None):
             orientation = own
-        orientation = orientation or 1
-        picture = turned_to(picture, own or 1, orientation)
-        if (own or 1) != orientation:
+        picture = turned_to(picture, own or 1, orientation or 1)
+        if (own or 1) != (orientation or 1):
             others.append(Path(path).name)
         try:
             view = find_board(picture, board, str(path))
@@ -134,7 +136,7 @@ def _views(
             f"{len(paths)}. {wrong[0] if wrong else ''}".strip()
         )
     for message in wrong:
-        warnings.warn(f"left out: {message}", stacklevel=3)
+        warnings.warn(f"left out: {where_others_show_it(message)}", stacklevel=3)
     return views, frames, orientation, others
 
 

@@ -36,7 +36,10 @@ class Development:
         darks: frames taken with the lens covered.
         dark_exposures_s: seconds, one for each dark frame; empty: as EXIF says.
         flat: a frame of an evenly lit white sheet.
-        orientation: EXIF's, 1…8, by which all are turned; None: each as its own file says.
+        orientation: EXIF's, 1…8, by which all are turned; None: as `frame_orientation` says.
+        frame_orientation: EXIF's, 1…8, by which those are turned whose files state one, others
+            stay as they are; None: the photographs as their own files say, dark frames and the
+            flat as the first photograph's file does.
         response: recover the response from the photographs, which are an exposure stack of 8 bits.
     """
 
@@ -48,6 +51,7 @@ class Development:
     dark_exposures_s: tuple[float, ...] = ()
     flat: Path | None = None
     orientation: int | None = None
+    frame_orientation: int | None = None
     response: bool = False
 
 
@@ -68,6 +72,7 @@ def developed(
         how = replace(how, coded=recover_response(paths, _stated(paths, times)), response=False)
     photos = [_read(path, how, t) for path, t in zip(paths, times, strict=True)]
     check_same_size(photos)
+    how = replace(how, frame_orientation=photos[0].settings.orientation)
     dark_times = _times(how.darks, how.dark_exposures_s, "dark frames")
     darks = [_read(path, how, t) for path, t in zip(how.darks, dark_times, strict=True)]
     if darks:
@@ -106,7 +111,10 @@ def _read(path: PathLike, how: Development, exposure_s: float | None) -> Photogr
         white_level=how.white_level,
         exposure_s=exposure_s,
     )
-    return photo if how.orientation is None else photo.turned_to(how.orientation)
+    wanted = how.orientation
+    if wanted is None and photo.settings.orientation is not None:
+        wanted = how.frame_orientation
+    return photo if wanted is None else photo.turned_to(wanted)
 
 
 def _times(paths: Sequence[PathLike], stated: Sequence[float], what: str) -> Sequence[float | None]:

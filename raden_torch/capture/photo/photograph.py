@@ -70,7 +70,14 @@ class Photograph:
         return shown(in_srgb(self.linear, None if self.colour is None else self.colour.to_srgb))
 
     def turned_to(self, orientation: int) -> Photograph:
-        """The same, without a mosaic, turned by this EXIF orientation instead of its own."""
+        """The same, turned by this EXIF orientation instead of its own (1 where its file states
+        none).
+
+        Raises:
+            InputError: a mosaic that was kept, whose pattern would be another.
+        """
+        if self.linear.shape[2] == 1 and self.pattern is not None:
+            raise InputError(f"{self.path}: turning: expected RGB, got a mosaic that was kept")
         own = self.settings.turned
         return replace(
             self,

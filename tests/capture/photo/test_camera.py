@@ -14,6 +14,8 @@ from raden_torch.capture.photo.board import Board, BoardView, draw_board, find_b
 from raden_torch.capture.photo.board_pose import board_pose, reprojected
 from raden_torch.capture.photo.calibration import calibrate
 from raden_torch.capture.photo.camera import Camera, read_camera, read_poses, write_camera
+from raden_torch.capture.photo.handheld.footage import clips_of
+from raden_torch.capture.photo.handheld.judging import judged
 from raden_torch.capture.photo.photograph import read_stored
 from raden_torch.errors import InputError
 
@@ -261,3 +263,23 @@ def test_a_matrix_of_another_size_than_its_data_is_refused(
     path.write_text(whole.replace(*damage))
     with pytest.raises(InputError, match=r"camera\.yml: expected an? (whole )?OpenCV calibration"):
         read_camera(path)
+
+
+def test_what_is_said_where_other_pictures_show_the_board(
+    board_scene: Callable, tmp_path: Path
+) -> None:
+    """Blurred beyond recognition, or with a corner of it alone: the board is the right one."""
+    whole = board_scene(BOARD, *PLACES[1])
+    columns = np.flatnonzero((whole < 90).any(axis=(0, 2)))
+    cut = whole.copy()
+    cut[:, (columns[0] + columns[-1]) // 2 - 60 :] = 200
+    names = {"soft": cv2.GaussianBlur(whole, (0, 0), 12), "cut": cut, "whole": whole}
+    for name, picture in names.items():
+        cv2.imwrite(str(tmp_path / f"{name}.png"), picture)
+    clips = clips_of([tmp_path / f"{name}.png" for name in names])
+    for each in judged(clips, BOARD, most_blur_px=5)[:2]:
+        assert each.reason == "no board found"
+        assert "other pictures show the board; here it is too blurred" in each.refused
+        assert "expected a" not in each.refused
+    with pytest.raises(InputError, match="got none in 1: no board found: expected a 5 x 7 board"):
+        judged(clips_of([tmp_path / "soft.png"]), BOARD, most_blur_px=5)

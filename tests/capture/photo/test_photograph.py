@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
+from raden_torch.capture.photo.development import Development, developed
 from raden_torch.capture.photo.photograph import check_same_size, read_linear, read_stored
 from raden_torch.errors import InputError
 from raden_torch.images.exr import write_channels
@@ -301,3 +302,39 @@ def test_damaged_files_are_input_errors(tmp_path: Path, data: st.DataObject, suf
     except UserWarning:
         return
     assert np.isfinite(photo.linear).all()
+
+
+def test_turned_as_another_file(tmp_path: Path) -> None:
+    photo = read_linear(tagged(tmp_path / "a.tif", ramp(255), 6))
+    upright = read_linear(tagged(tmp_path / "b.tif", ramp(255), 1))
+    np.testing.assert_array_equal(photo.turned_to(1).linear, upright.linear)
+    stored = mosaic_of(np.tile([40, 90, 160], (H, W, 1)), "GRBG").astype(np.uint8)
+    mosaic = read_linear(save(tmp_path / "m.tif", stored), pattern="GRBG", keep_mosaic=True)
+    with pytest.raises(InputError, match=r"m\.tif: turning: expected RGB, got a mosaic"):
+        mosaic.turned_to(3)
+
+
+@pytest.mark.parametrize(("photo", "flat"), [(1, 3), (3, 1), (6, 8), (None, None), (1, None)])
+def test_flat_and_dark_lie_as_the_photograph(
+    tmp_path: Path, photo: int | None, flat: int | None
+) -> None:
+    """One sensor, whatever EXIF says of each file: an even sheet is even after both. Files that
+    state no orientation stay as they are."""
+    x = np.linspace(0.4, 1, W)
+    falloff = np.broadcast_to((x * np.linspace(0.6, 1, H)[:, None])[..., None], (H, W, 3))
+    glow = np.broadcast_to(np.linspace(0.0, 0.01, W)[None, :, None], (H, W, 3))
+    a = tagged(tmp_path / "a.tif", stored8(0.5 * falloff + glow), photo)
+    f = tagged(tmp_path / "f.tif", stored8(0.8 * falloff + glow), flat)
+    d = tagged(tmp_path / "d.tif", stored8(glow), flat)
+    light = developed([a], Development(coded="linear", flat=f, darks=(d,)))[0].linear
+    middle = light[4:-4, 4:-4]
+    assert middle.std() / middle.mean() < 0.03
+
+
+def stored8(light: np.ndarray) -> np.ndarray:
+    return np.rint(light * 255).astype(np.uint8)
+
+
+def tagged(path: Path, rgb: np.ndarray, orientation: int | None) -> Path:
+    Image.fromarray(rgb).save(path, tiffinfo={} if orientation is None else {274: orientation})
+    return path

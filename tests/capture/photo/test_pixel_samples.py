@@ -9,6 +9,7 @@ import colour as colour_science
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from raden_torch.capture.photo.brdf.agreement import agreement
 from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup, SampleSpec
@@ -18,7 +19,7 @@ from raden_torch.capture.photo.brdf.movement import edges_near, moved, outline_o
 from raden_torch.capture.photo.brdf.node_colour import NodeColour
 from raden_torch.capture.photo.brdf.photo_budget import relative_colour
 from raden_torch.capture.photo.brdf.photo_cells import CellGrid
-from raden_torch.capture.photo.brdf.photo_series import Frame
+from raden_torch.capture.photo.brdf.photo_series import Frame, read_frame
 from raden_torch.capture.photo.brdf.photo_white import (
     Scale,
     WhiteFactor,
@@ -385,3 +386,23 @@ def test_a_shot_that_is_brighter_in_all_cells(factor: float) -> None:
         assert said.startswith("c: it contradicts")
         assert "brighter by" in said
         assert found.brighter[2] == pytest.approx(0.2, abs=0.05)
+
+
+@pytest.mark.parametrize(("own", "upside_down"), [(1, False), (3, True), (None, False)])
+def test_a_camera_says_how_its_photographs_are_turned(
+    tmp_path: Path, own: int | None, upside_down: bool
+) -> None:
+    """The phone guesses another orientation than when the board was photographed. Without EXIF a
+    photograph stays as it is, and without a pose it is as its file says."""
+    stored = np.arange(24 * 32 * 3, dtype=np.uint8).reshape(24, 32, 3)
+    exif = Image.Exif()
+    if own is not None:
+        exif[274] = own
+    Image.fromarray(stored).save(tmp_path / "a.png", exif=exif)
+    camera = Camera(np.diag([40.0, 40, 1]), np.zeros(5), (24, 32), orientation=1)
+    lamps = Lamps(LEAN[None], np.ones(1))
+    setup = CaptureSetup(Path("l.json"), development=Development(coded="linear"))
+    for poses in ({"b.png": Pose(np.eye(3), np.ones(3), 0.1, 24)}, {}):
+        (shot,) = shots_of([tmp_path / "a.png"], setup, lamps, poses, camera)
+        turned = stored[::-1, ::-1] if upside_down and not poses else stored
+        np.testing.assert_allclose(read_frame(shot).radiance, turned / 255, atol=1e-6)

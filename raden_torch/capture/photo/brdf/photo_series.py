@@ -85,7 +85,7 @@ def read_series(photographs: Sequence[Path], setup: CaptureSetup) -> PhotoSeries
     lamps = read_lamps(setup.lights)
     camera = None if setup.camera is None else read_camera(setup.camera)
     poses = _poses(setup.camera)
-    shots = shots_of(photographs, setup, lamps, poses)
+    shots = shots_of(photographs, setup, lamps, poses, camera)
     seen_in = _seen_in(setup, poses)
     of_shots = lamps_of_shots(lamps, shots, camera, setup, seen_in)
     frame = read_frame(shots[0])

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
-from raden_torch.capture.photo.camera import Pose
+from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.capture.photo.photo_set import lamp_numbers
@@ -36,7 +36,11 @@ class Shot:
 
 
 def shots_of(
-    files: Sequence[Path], setup: CaptureSetup, lamps: Lamps, poses: Mapping[str, Pose]
+    files: Sequence[Path],
+    setup: CaptureSetup,
+    lamps: Lamps,
+    poses: Mapping[str, Pose],
+    camera: Camera | None = None,
 ) -> list[Shot]:
     """Tell the files apart: photograph k under lamp k, or under the one that `setup` says.
 
@@ -45,6 +49,7 @@ def shots_of(
         lamps: those of its lights file.
         poses: of the board, by file name; one alone serves all photographs; photographs without
             one have None.
+        camera: whose orientation photographs with a pose follow that states none itself.
 
     Raises:
         InputError: numbers that do not fit, a lamp that is not in the list.
@@ -60,14 +65,22 @@ def shots_of(
     chosen = _lamps(groups, lamps, setup.lights, setup.lamps)
     ways = _ways(groups, setup.development)
     return [
-        _shot(group, lamp, _pose(group, poses), way)
+        _shot(group, lamp, _pose(group, poses), way, camera)
         for group, lamp, way in zip(groups, chosen, ways, strict=True)
     ]
 
 
-def _shot(files: tuple[Path, ...], lamp: int, pose: Pose | None, how: Development) -> Shot:
+def _shot(
+    files: tuple[Path, ...],
+    lamp: int,
+    pose: Pose | None,
+    how: Development,
+    camera: Camera | None,
+) -> Shot:
     if pose is not None and pose.orientation is not None:
         how = replace(how, orientation=pose.orientation)
+    elif pose is not None and camera is not None:
+        how = replace(how, frame_orientation=camera.orientation)
     return Shot(files, lamp, pose, how)
 
 

@@ -26,7 +26,7 @@ class View:
         mm_per_pixel: there.
         seen_mm: radius of the ball around the middle that is wholly in the picture from any side,
             without distortion.
-        reach_mm: from the piece's middle to its farthest edge.
+        reach_mm: from the piece's middle, or that of a row of them, to its farthest edge.
     """
 
     camera_mm: float
@@ -66,10 +66,11 @@ def view_of(piece: Piece, camera: Camera, camera_mm: float | None = None) -> Vie
 
 
 def _reach_mm(piece: Piece) -> float:
-    """Of its outline; `Piece.reach_mm` is that of points within it."""
+    """Of its outline; `Piece.reach_mm` is that of points within it. Several flat pieces count as a
+    row, end to end along their longer side, without room between them."""
     first, second = piece.size_mm
     if piece.shape == "plane":
-        return float(np.hypot(first, second)) / 2
+        return float(np.hypot(len(piece.tilts_deg) * max(first, second), min(first, second))) / 2
     half = first / 2 if piece.shape == "cylinder" else 0.0
     return float(np.hypot(half, np.sqrt(2) * second))
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.board import Board, BoardView, find_board
+from raden_torch.capture.photo.board_not_found import where_others_show_it
 from raden_torch.capture.photo.handheld.edge_blur import Blur, edge_blur
 from raden_torch.capture.photo.handheld.footage import Clip, Picture, pictures
 from raden_torch.errors import InputError
@@ -95,7 +96,7 @@ def judged(
             f"{clips[0].name}: expected pictures that show the board, got none in {len(found)}: "
             f"{found[0].refused}"
         )
-    return found
+    return [each.because(where_others_show_it(each.refused)) for each in found]
 
 
 def reasons(looked: Iterable[Judged]) -> list[tuple[str, int]]:

@@ -242,3 +242,16 @@ def test_another_file_is_no_plan(tmp_path: Path) -> None:
     )
     with pytest.raises(InputError, match="expected a plan file, got a lights file"):
         read_plan(tmp_path / "lights.json")
+
+
+def test_several_cards_are_a_row() -> None:
+    """A row along either side fits in what is said to be seen, and what cuts it is refused."""
+    matrix = np.array([[770.0, 0, 479.5], [0, 770, 269.5], [0, 0, 1]])
+    camera = Camera(matrix, np.zeros(5), (540, 960))
+    row = Piece.flat(100, 80, (0, 20, 40))
+    for along, across in ((300, 80), (100, 240)):
+        assert view_of(row, camera).reach_mm >= np.hypot(along, across) / 2 - 1e-9
+    assert view_of(row, camera).reach_mm == pytest.approx(np.hypot(300, 80) / 2)
+    with pytest.raises(InputError, match="distance: expected 470 mm or more"):
+        view_of(row, camera, 300.0)
+    assert view_of(Piece.flat(100, 80, (20,)), camera, 300.0).seen_mm > np.hypot(100, 80) / 2
