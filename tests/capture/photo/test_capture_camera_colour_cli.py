@@ -58,6 +58,7 @@ def test_calibrate(capture: Command, board_scene: Callable, tmp_path: Path) -> N
     assert result["camera_matrix_px"][0][0] == pytest.approx(620, rel=0.01)
     assert result["board"]["legacy"] is False
     assert len(result["poses"]) == 4
+    assert "orientation" not in result  # the files state none
     assert cv2.imread(str(tmp_path / "camera.png")).shape[1] == 1280
     # and the next step reads it
     again = capture(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from raden_torch.capture.photo.brdf.movement import edges_near, moved, outline_o
 from raden_torch.capture.photo.brdf.node_colour import NodeColour
 from raden_torch.capture.photo.brdf.photo_budget import relative_colour
 from raden_torch.capture.photo.brdf.photo_cells import CellGrid
-from raden_torch.capture.photo.brdf.photo_series import Frame, read_frame
+from raden_torch.capture.photo.brdf.photo_series import Frame, read_frame, read_series
 from raden_torch.capture.photo.brdf.photo_white import (
     Scale,
     WhiteFactor,
@@ -50,6 +51,7 @@ from raden_torch.colorimetry import D65_XYZ
 from raden_torch.errors import InputError
 from raden_torch.images.raw_image import RawColour
 from raden_torch.measurement.colour_conversion import xyz_to_rgb_matrix
+from tests.capture.photo.brdf.conftest import write_lights
 
 SIZE = (140, 160)
 BALL = Sphere(np.array([80.0, -70.0, 0.0]), 50.0)
@@ -399,10 +401,24 @@ def test_a_camera_says_how_its_photographs_are_turned(
     if own is not None:
         exif[274] = own
     Image.fromarray(stored).save(tmp_path / "a.png", exif=exif)
-    camera = Camera(np.diag([40.0, 40, 1]), np.zeros(5), (24, 32), orientation=1)
-    lamps = Lamps(LEAN[None], np.ones(1))
-    setup = CaptureSetup(Path("l.json"), development=Development(coded="linear"))
-    for poses in ({"b.png": Pose(np.eye(3), np.ones(3), 0.1, 24)}, {}):
-        (shot,) = shots_of([tmp_path / "a.png"], setup, lamps, poses, camera)
-        turned = stored[::-1, ::-1] if upside_down and not poses else stored
+    write_lights(tmp_path / "l.json", LEAN[None], np.ones(1))
+    content = {
+        **{"format": "raden capture", "version": 1, "kind": "camera", "distortion": [0.0] * 5},
+        **{"image_width_px": 32, "image_height_px": 24, "orientation": 1},
+        "camera_matrix_px": np.diag([40.0, 40, 1]).tolist(),
+    }
+    pose = {
+        **{"file": "b.png", "corners": 24, "reprojection_rms_px": 0.1},
+        "rotation_board_to_camera": np.eye(3).tolist(),
+        "translation_board_to_camera_m": [0, 0, 1],
+    }
+    board = {"columns": 5, "rows": 7, "square_m": 0.04, "marker_m": 0.02}
+    board |= {"dictionary": "DICT_6X6_250", "legacy": False}
+    camera = tmp_path / "camera.json"
+    way = Development(coded="linear")
+    setup = CaptureSetup(tmp_path / "l.json", camera=camera, development=way)
+    for more in ({"board": board, "poses": [pose]}, {}):
+        camera.write_text(json.dumps(content | more))
+        (shot,) = read_series([tmp_path / "a.png"], setup).shots
+        turned = stored[::-1, ::-1] if upside_down and not more else stored
         np.testing.assert_allclose(read_frame(shot).radiance, turned / 255, atol=1e-6)
