@@ -292,6 +292,8 @@ def normals(
     if isinstance(found, FoundByModel) and found.material is not None:
         save_model(found.material, material)
         written, made_by = [material], material.name
+    else:
+        material.unlink(missing_ok=True)  # of an earlier run
     written += write_normals(
         found.surface,
         output,

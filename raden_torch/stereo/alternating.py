@@ -13,7 +13,7 @@ The object has to be of one isotropic material and its normals have to spread.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -22,7 +22,7 @@ from torch import Tensor
 from raden_torch.brdf.materials.runtime import RuntimeBrdf
 from raden_torch.errors import InputError
 from raden_torch.stereo.isotropic_table import IsotropicTable, fitted, lobe
-from raden_torch.stereo.learnt_model import MEAN, box_of
+from raden_torch.stereo.learnt_model import MEAN, box_of, seen_share
 from raden_torch.stereo.observed_light import GRAZING, ObservedLight, sampled, shown, thinned
 from raden_torch.stereo.shell_table import readings_deg
 from raden_torch.stereo.solve import Known, ModelNormals, solve_by_model
@@ -39,10 +39,15 @@ _MATT = (1.0, 0.0)
 _LOBES = ((0.06, 4.0), (0.12, 1.0), (0.12, 4.0), (0.25, 1.0), (0.25, 4.0), (0.4, 1.0), (0.4, 4.0))
 """Widths and heights of the first highlights."""
 _LEFT_OUT_PIXELS, _LEFT_OUT_LAMPS = 400, 12
-_BETTER = 0.7
+_BETTER = 0.75
 """Of a matt body's error: above it nothing beyond the Lambertian law has been found. Simulated
-shells came to 0.07 to 0.4, real objects that are nearly matt or in shadow to 0.9 and more.
+shells came to 0.2 to 0.6, real objects that are nearly matt or in shadow to 0.9 and more.
 """
+_GAIN_WIDTHS = (0.1, 1.0)
+"""Least and greatest standard deviation of the logarithm of a pixel's brightness over the
+material's."""
+_BLACK = 3.0
+"""Times the floor of the photographs, on average: what is darker shows nothing."""
 _USUAL_COSINE = 0.6
 _LEAST_SPREAD_DEG = 10.0
 
@@ -53,23 +58,25 @@ class Alternated:
 
     Attributes:
         found: the normals of the pixels given.
-        table: the material; `scale`: the photographs' value for a radiance of 1 of it.
+        table: the material.
         moved_deg: how far the normals of the sample moved in each turn, in the median.
         gained: whether what was fitted explains them better than the first body did; otherwise
             `table` is that body.
         left_out: how far off it shows a photograph that a pixel's normal was found without, over
-            the pixel's mean, in the median; `matt_left_out`: the same of a matt body.
+            the pixel's mean, on average, each error counting as 1 at most; `matt_left_out`: the
+            same of a matt body.
         box_deg: the least and greatest incidence, receiving and tilt that were seen.
+        seen: as `seen_share` says.
     """
 
     found: ModelNormals
     table: IsotropicTable
-    scale: float
     moved_deg: tuple[float, ...]
     gained: bool
     left_out: float
     matt_left_out: float
     box_deg: tuple[tuple[float, float], ...]
+    seen: float
 
     @property
     def has_settled(self) -> bool:
@@ -91,7 +98,8 @@ def alternate(
         progress: called with the share that is done, 0…1.
 
     Raises:
-        InputError: fewer than `MIN_LAMPS` lamps, or normals that do not spread.
+        InputError: fewer than `MIN_LAMPS` lamps, no pixel that is lit, or normals that do not
+            spread.
     """
     if len(light.value) < MIN_LAMPS:
         raise InputError(
@@ -99,28 +107,57 @@ def alternate(
             f"got {len(light.value)}; give a model"
         )
     done = progress or (lambda share: None)
-    scale = float((light.value / light.strength).mean()) / (_USUAL_COSINE * MEAN)
-    light = replace(light, value=light.value / scale, floor=light.floor / scale)
+    lit, bright = _lit(light)
+    scale = bright / (_USUAL_COSINE * MEAN)
+    whole = replace(light, value=light.value / scale, floor=light.floor / scale)
+    light = whole.at(lit)
     some, few = sampled(light, _SAMPLE), sampled(light, _FIRST_SAMPLE)
+    colour = light.value.mean((0, 2))
+    colour = colour / colour.mean()
     tried = []
     for k, index in enumerate(_INDICES):
 
         def part(share: float, before: int = k) -> None:
             done(0.5 * (before + share) / len(_INDICES))
 
-        tried.append(_turned(some, few, index, part))
+        bodies = [lobe(*each, index).tinted(colour) for each in (_MATT, *_LOBES)]
+        tried.append(_turned(some, few, bodies, part))
     few = sampled(light, _LEFT_OUT_PIXELS)
-    off, best = min(
-        ((_left_out(each.table.material, few), each) for each in tried), key=lambda each: each[0]
-    )
-    matt_off = _left_out(lobe(*_MATT, 1.0).material, few)
+    errors = [_left_out(each.table.material, few) for each in tried]
+    # the median, since which medium it is shows where there is no shadow
+    chosen = min(range(len(tried)), key=lambda k: float(errors[k].median()))
+    best, off = tried[chosen], float(errors[chosen].mean())
+    # the mean, since few lamps may show a highlight
+    matt_off = float(_left_out(lobe(*_MATT, 1.0).tinted(colour).material, few).mean())
     materials = [best.table.material]
-    whole = solve_by_model(materials, light, progress=lambda share: done(0.5 + 0.5 * share))
-    n, to, view = light.vectors(whole.normal)
-    lit = ((n * to).sum(1) > 0) & ((n * view).sum(1) > 0)
-    box = box_of(readings_deg(light, whole.normal)[lit[:, 0].numpy()])
-    whole = replace(whole, gain=whole.gain * scale)
-    return Alternated(whole, best.table, scale, best.moved_deg, best.gained, off, matt_off, box)
+    found = solve_by_model(materials, whole, progress=lambda share: done(0.5 + 0.5 * share))
+    counted = _counted(light, found.normal[:, lit])[:, 0].numpy()
+    angles = readings_deg(light, found.normal[:, lit])[counted]
+    found = replace(found, gain=found.gain * scale)
+    return Alternated(
+        found,
+        best.table,
+        best.moved_deg,
+        best.gained,
+        off,
+        matt_off,
+        box_of(angles),
+        seen_share(angles),
+    )
+
+
+def _lit(light: ObservedLight) -> tuple[Tensor, float]:
+    """Pixels that are not black, by their numbers, and the mean of their value over the lamp's
+    strength; what is clipped does not count."""
+    counted = light.usable.sum(0).clamp(min=1)
+    mean = (light.value * light.usable).sum(0) / counted
+    lit = (mean.mean(0) > _BLACK * light.floor).nonzero()[:, 0]
+    if len(lit) == 0:
+        raise InputError(
+            "photographs: expected pixels that are lit and not clipped, got none in the mask"
+        )
+    over = light.usable / light.strength
+    return lit, float(((light.value * over).sum(0) / counted)[:, lit].mean())
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +170,12 @@ class _Turned:
 
 
 def _turned(
-    some: ObservedLight, few: ObservedLight, index: float, done: Callable[[float], None]
+    some: ObservedLight,
+    few: ObservedLight,
+    bodies: Sequence[IsotropicTable],
+    done: Callable[[float], None],
 ) -> _Turned:
-    bodies, costs = [lobe(*each, index) for each in (_MATT, *_LOBES)], []
+    costs = []
     for place, body in enumerate(bodies):
         costs.append(float(_with(body.material, few).cost.median()))
         done(0.4 * (place + 1) / len(bodies))
@@ -143,9 +183,11 @@ def _turned(
     found = _with(start.material, some)
     _check_spread(found.normal)
     least, moved = float(found.cost.median()), []
+    gain, width = torch.ones_like(found.gain), _GAIN_WIDTHS[0]
     for turn in range(_TURNS):
-        fitted_to = fit_at(some, found.normal, index)
-        new = solve_by_model([fitted_to.material], some, known=Known((0.0, 0.1), 1.0))
+        fitted_to = fit_at(some, found.normal, gain, start.index)
+        new = solve_by_model([fitted_to.material], some, known=Known((0.0, width), 1.0))
+        gain, width = _spread(new.gain)
         moved.append(float(torch.rad2deg((new.normal - found.normal).norm(dim=0).median())))
         found, cost = new, float(new.cost.median())
         if cost < least:
@@ -156,8 +198,8 @@ def _turned(
     return _Turned(table, tuple(moved), table is not start)
 
 
-def _left_out(material: RuntimeBrdf, light: ObservedLight) -> float:
-    """As `Alternated.left_out`: what explains more by its freedom need not predict more."""
+def _left_out(material: RuntimeBrdf, light: ObservedLight) -> Tensor:
+    """Errors as of `Alternated.left_out`: what explains more need not predict more."""
     every = list(range(len(light.value)))
     usual, off = light.value.mean((0, 1)).clamp(min=1e-12), []
     for out in thinned(torch.tensor(every), _LEFT_OUT_LAMPS).tolist():
@@ -165,16 +207,34 @@ def _left_out(material: RuntimeBrdf, light: ObservedLight) -> float:
         found = solve_by_model([material], kept)
         predicted = shown(material, found.normal, left) * found.gain
         error = (predicted - left.value)[0].abs().mean(0) / usual
-        off.append(torch.where(left.usable[0, 0] > 0, error, torch.nan))
-    return float(torch.stack(off).nanmedian())
+        off.append(torch.where(left.usable[0, 0] > 0, error.clamp(max=1), torch.nan))
+    every_error = torch.stack(off)
+    return every_error[~every_error.isnan()]
 
 
-def fit_at(light: ObservedLight, normal: Tensor, index: float) -> IsotropicTable:
-    """The BRDF that these pixels show if their normals are these `[3, P]`, in a medium."""
+def _spread(gain: Tensor) -> tuple[Tensor, float]:
+    """Gains `[P]` over their median, and the standard deviation that their logarithm is expected to
+    have: an evenly bright surface keeps them near 1."""
+    log_gain = gain.log()
+    log_gain = log_gain - log_gain.median()
+    width = 1.5 * 1.4826 * float(log_gain.abs().median())
+    return log_gain.exp(), min(max(width, _GAIN_WIDTHS[0]), _GAIN_WIDTHS[1])
+
+
+def _counted(light: ObservedLight, normal: Tensor) -> Tensor:
+    """`[K, 1, P]` bool: readings that a table is fitted to."""
     n, to, view = light.vectors(normal)
-    facing = ((n * to).sum(1) * light.strength[:, 0, None]).clamp(min=0)  # [K, 1, P]
+    facing = (n * to).sum(1) * light.strength[:, 0, None]
+    return (facing > GRAZING) & ((n * view).sum(1) > 0) & (light.usable > 0)
+
+
+def fit_at(light: ObservedLight, normal: Tensor, gain: Tensor, index: float) -> IsotropicTable:
+    """The BRDF in a medium that these pixels show if their normals are these `[3, P]`, and they are
+    `gain` `[P]` times as bright."""
+    n, to, view = light.vectors(normal)
+    facing = ((n * to).sum(1) * light.strength[:, 0, None]).clamp(min=0) * gain  # [K, 1, P]
     readings = (light.value / facing.clamp(min=1e-6))[:, :, None]
-    weight = (light.weight * facing)[:, :, None] * (facing > GRAZING)[:, :, None]
+    weight = (light.weight * facing * _counted(light, normal))[:, :, None]
     return fitted(n, to, view, readings, weight, index)
 
 

@@ -3,9 +3,10 @@ the method "alternating"."""
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
@@ -88,6 +89,7 @@ def capture_model_normals(
     seen = Photographed.of(given, correction)
     notes: list[str] = []
     some = material = None
+    scale = 1.0  # of the materials, over which the albedo is told
     if materials is None:
         learned = alternate(seen.sample, progress=lambda share: done(0.2 + 0.3 * share))
         materials, some = [learned.table.material], learned.found
@@ -101,9 +103,12 @@ def capture_model_normals(
                 f"normals and material have not settled: they still move by "
                 f"{learned.moved_deg[-1]:.1f} degrees a turn; more lamps, or a model, would help"
             )
+        albedo = albedo_of(learned.table.values)
         if learned.is_better:
-            material = _as_model(learned, photographs)
+            scale = TYPICAL_ALBEDO / albedo
+            material = _as_model(learned, scale, photographs)
         else:
+            scale = math.pi / albedo  # over a white matt body
             notes.append(
                 "the material that was found predicts a photograph that is left out hardly better "
                 f"than a matt body does (off by {100 * learned.left_out:.1f} % of a pixel's mean, "
@@ -120,16 +125,16 @@ def capture_model_normals(
     found = solved(seen, materials, known, lambda share: done(0.5 + 0.5 * share))
     for note in notes:
         warnings.warn(note, stacklevel=2)
-    surface = as_maps(seen, found, residual)
+    surface = as_maps(seen, replace(found, gain=found.gain / scale), residual)
     return FoundByModel(
         surface, given.lamps, given.mask, given.exponent, None, tuple(notes), material
     )
 
 
-def _as_model(found: Alternated, photographs: Sequence[Path]) -> RadenBrdf:
+def _as_model(found: Alternated, scale: float, photographs: Sequence[Path]) -> RadenBrdf:
     """Its albedo is an assumption; the photographs tell no more than how it changes."""
-    scale = TYPICAL_ALBEDO / albedo_of(found.table.values)
     said = {
+        "seen": round(found.seen, 4),
         "photographs": [path.name for path in photographs],
         "medium_index": found.table.index,
         "left_out": round(found.left_out, 4),

@@ -51,6 +51,10 @@ class IsotropicTable:
         """As a table that the kernels read."""
         return runtime_brdf(self._formula, self.nodes, _LAYOUT).float()
 
+    def tinted(self, colour: Tensor) -> IsotropicTable:
+        """The same times a factor `[C]` of each channel; of a grey table."""
+        return IsotropicTable(self.nodes * colour.double(), self.index)
+
     def values(self, angles: Tensor) -> Floats:
         """`[M, 3]` f_r at incidence, receiving and tilt `[3, M]` in radians."""
         each = (a.reshape(1, 1, -1, 1) for a in angles)

@@ -20,9 +20,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from raden_torch.reflectance.few_readings import GRID
-from raden_torch.reflectance.scattered import nodes_read_beside
-from raden_torch.stereo.learnt_model import MEAN, box_of
+from raden_torch.stereo.learnt_model import MEAN, box_of, seen_share
 from raden_torch.stereo.normal_refine import cauchy_cost
 from raden_torch.stereo.observed_light import ObservedLight, sampled, shown
 from raden_torch.stereo.shell_table import ShellTable, body, fitted, readings_deg
@@ -53,8 +51,7 @@ class LearntShell:
         pixels: how many it was learnt from.
         residual: what is left, in standard deviations of 3 %.
         spread_deg: how far the layers lean to and fro, root mean square.
-        seen: the share of the nodes of a 5 degree grid of incidence, receiving and tilt within 80
-            degrees that a reading lies at.
+        seen: as `seen_share` says.
         box_deg: the least and greatest incidence, receiving and tilt that were seen.
     """
 
@@ -124,7 +121,7 @@ def learn_shell(light: ObservedLight, done: Callable[[float], None]) -> LearntSh
         many.pixels,
         math.sqrt(2 * cost),
         _spread_deg(found.normal),
-        float(nodes_read_beside(GRID, angles).mean()),
+        seen_share(angles),
         box_of(angles),
     )
 

@@ -16,6 +16,8 @@ from raden_torch.arrays import Floats
 from raden_torch.brdf.fitting.hemisphere import directional_albedo
 from raden_torch.brdf.model.model import Provenance, RadenBrdf
 from raden_torch.brdf.model.reflectance_table import ReflectanceTable
+from raden_torch.reflectance.few_readings import GRID
+from raden_torch.reflectance.scattered import nodes_read_beside
 
 INSTRUMENT = "learnt from photographs, not measured by an instrument"
 MEAN = 0.12
@@ -43,6 +45,12 @@ def albedo_of(values: Values) -> float:
     """The largest directional albedo of light up to 45 degrees from the normal."""
     each = directional_albedo(learnt_model(values, 1.0, Provenance()))
     return max(value for angle, value in each.items() if angle <= _UP_TO_DEG)
+
+
+def seen_share(angles_deg: Floats) -> float:
+    """The share of the nodes of a 5 degree grid of incidence, receiving and tilt within 80 degrees
+    that one of `[M, 3]` readings lies at."""
+    return float(nodes_read_beside(GRID, angles_deg).mean())
 
 
 def box_of(angles_deg: Floats) -> tuple[tuple[float, float], ...]:

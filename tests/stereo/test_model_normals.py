@@ -189,6 +189,31 @@ def test_normals_and_material_in_turn(scene: Scene) -> None:
     assert np.median(off_deg(found.found.normal, scene.true)) < 0.35 * matt_error(coated)
 
 
+def test_background_and_uneven_brightness_do_not_matter(scene: Scene) -> None:
+    uneven = np.where(np.indices(scene.mask.shape).sum(0) // 4 % 2, 1.0, 0.35)[..., None]
+    everything = np.ones_like(scene.mask)
+    light = replace(scene, linear=scene.linear * uneven, mask=everything).light
+    found = alternate(light)
+    assert found.is_better
+    assert found.table.index == 1.0
+    normal = found.found.normal[:, torch.tensor(scene.mask.ravel())]
+    assert np.median(off_deg(normal, scene.true)) < 0.35 * matt_error(scene)
+
+
+def test_a_gloss_that_few_lamps_show_is_a_material(scene: Scene) -> None:
+    def gloss(n: np.ndarray, to: np.ndarray) -> np.ndarray:
+        miss = np.linalg.norm(np.cross(n, unit(to + VIEW)), axis=-1, keepdims=True)
+        return np.tile(0.06 * (1 + 8 * np.exp(-((miss / 0.08) ** 2) / 2)), 3)
+
+    linear = photographed(scene.normal, scene.mask, scene.lamps, gloss)
+    assert alternate(replace(scene, linear=linear).light).is_better
+
+
+def test_photographs_without_light_are_refused(scene: Scene) -> None:
+    with pytest.raises(InputError, match="expected pixels that are lit and not clipped, got none"):
+        alternate(replace(scene, linear=np.zeros_like(scene.linear)).light)
+
+
 def test_of_a_body_that_is_nearly_matt_it_is_said(shared: Path, tmp_path: Path) -> None:
     """A real grey sphere, whose outline tells its normals: 4.0 degrees by the Lambertian law."""
     data, lights = shared / "data/photometric_stereo", tmp_path / "lights.json"

@@ -16,6 +16,7 @@ from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.runtime import runtime_brdf
 from raden_torch.brdf.model.runtime_table import RuntimeLayout
 from raden_torch.capture.photo.photograph import read_linear
+from raden_torch.images.exr import read_channels
 from tests.stereo.scenes import Scene, Shell, off_deg, photographed
 
 
@@ -102,6 +103,19 @@ def test_normals_and_material_relit_under_a_lamp_that_was_held_out(
     told = rt.load_model(model).provenance
     assert told.instrument == "learnt from photographs, not measured by an instrument"
     assert told.fit["learnt"]["photographs"] == [path.name for path in photos]
+    done = raden("info", model)
+    assert done.returncode == 0, done.stderr
+    assert told.instrument in done.stdout
+    maps = read_channels(out / "normals.exr")
+    n = torch.tensor(np.stack([maps[f"normal.{c}"] for c in "XYZ"]))[None]
+    to = torch.tensor(scene.lamps[0]).float().view(1, 3, 1, 1).expand_as(n)
+    view = torch.tensor([0.0, 0.0, 1.0]).view(1, 3, 1, 1).expand_as(n)
+    f = rt.load_model(model).of_unit_vectors(n, to, view)[0].movedim(0, -1).detach().numpy()
+    albedo = np.stack([maps[f"albedo.{c}"] for c in "RGB"], -1)
+    facing = (n * to).sum(1)[0].clamp(min=0).numpy()[..., None]
+    bright = scene.mask & (scene.linear[0].min(-1) > 0.05)
+    ratio = scene.linear[0][bright] / (albedo * f * facing)[bright]
+    assert 0.97 < np.median(ratio) < 1.03  # as docs/normals.md says of the albedo
     light = ",".join(f"{x:.6f}" for x in scene.lamps[9])
     more = ("--mask", mask, "--model", model, f"--light={light}", "--linear")
     relit = tmp_path / "relit.exr"
@@ -114,9 +128,13 @@ def test_normals_and_material_relit_under_a_lamp_that_was_held_out(
 
 
 def test_no_material_is_written_of_what_is_matt(raden, scene: Scene, tmp_path: Path) -> None:
-    brdf = lambda n, to: np.full(n.shape, 0.2)  # noqa: E731
-    linear = photographed(scene.normal, scene.mask, scene.lamps, brdf)
+    red = np.array([0.2, 0.07, 0.03])
+    linear = photographed(
+        scene.normal, scene.mask, scene.lamps, lambda n, to: np.tile(red, (len(n), 1))
+    )
     photos = replace(scene, linear=linear).write(tmp_path)
+    (tmp_path / "n").mkdir()
+    (tmp_path / "n/material.safetensors").write_text("of an earlier run")
     known = ("--lights", tmp_path / "lights.json", "--mask", tmp_path / "mask.png")
     words = ["capture", "normals", *photos, *known, "--coded", "linear", "-o", tmp_path / "n"]
     done = raden(*words, "--method", "alternating", warn="default")
