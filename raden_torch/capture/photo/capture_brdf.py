@@ -37,7 +37,7 @@ from raden_torch.capture.photo.brdf.seen_surface import (
     outline_std_px,
 )
 from raden_torch.capture.photo.brdf.shared_errors import shared_errors
-from raden_torch.capture.photo.brdf.shots import Shot
+from raden_torch.capture.photo.brdf.shots import Shot, check_masks
 from raden_torch.capture.photo.guide.plan_check import check_planned
 from raden_torch.errors import InputError
 from raden_torch.measurement import BrdfMeasurement, Metadata
@@ -128,6 +128,7 @@ def capture_brdf(
     """
     grid = grid or CellGrid.reaching(scattered=scattered)
     series = read_series(photographs, setup)
+    check_masks(series.shots, (sample.mask, white.mask))
     unplanned = None if plan is None else check_planned(plan, series, sample)
     warned = _raised_or_warned([unplanned], go_on=go_on)
     fixed = fixed_surface(series, sample)

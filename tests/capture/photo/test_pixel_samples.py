@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,7 +42,7 @@ from raden_torch.capture.photo.brdf.seen_surface import (
     outline_std_px,
     seen_surface,
 )
-from raden_torch.capture.photo.brdf.shots import Shot, shots_of
+from raden_torch.capture.photo.brdf.shots import Shot, check_masks, shots_of
 from raden_torch.capture.photo.brdf.white_sight import WhiteSight
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.colour import ColourCorrection
@@ -420,5 +421,9 @@ def test_a_camera_says_how_its_photographs_are_turned(
     for more in ({"board": board, "poses": [pose]}, {}):
         camera.write_text(json.dumps(content | more))
         (shot,) = read_series([tmp_path / "a.png"], setup).shots
+        check_masks([shot], (None, None))
+        refused = pytest.raises(InputError, match=r"m\.png: expected a mask beside photographs")
+        with refused if upside_down and more else nullcontext():
+            check_masks([shot], (None, tmp_path / "m.png"))
         turned = stored[::-1, ::-1] if upside_down and not more else stored
         np.testing.assert_allclose(read_frame(shot).radiance, turned / 255, atol=1e-6)

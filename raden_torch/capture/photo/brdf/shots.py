@@ -11,6 +11,7 @@ from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.capture.photo.photo_set import lamp_numbers
+from raden_torch.capture.photo.photograph import read_turned
 from raden_torch.errors import InputError
 
 
@@ -82,6 +83,26 @@ def _shot(
     elif pose is not None and camera is not None:
         how = replace(how, frame_orientation=camera.orientation)
     return Shot(files, lamp, pose, how)
+
+
+def check_masks(shots: Sequence[Shot], masks: Sequence[Path | None]) -> None:
+    """Masks are painted over photographs as their own files turn them.
+
+    Raises:
+        InputError: a mask beside a photograph that is read in another orientation.
+    """
+    mask = next((mask for mask in masks if mask is not None), None)
+    for shot in shots:
+        wanted = shot.how.orientation or shot.how.frame_orientation
+        if mask is None or wanted is None:
+            continue
+        _, own = read_turned(shot.files[0])
+        if own is not None and own != wanted:
+            raise InputError(
+                f"{mask}: expected a mask beside photographs of the camera file's orientation, "
+                f"{wanted}, got {shot.files[0]} of EXIF's orientation {own}; say where sample and "
+                "white lie on the board, or take all photographs with the camera held alike"
+            )
 
 
 def _lamps(
