@@ -25,7 +25,7 @@ from raden_torch.stereo.isotropic_table import IsotropicTable, fitted, lobe
 from raden_torch.stereo.learnt_model import MEAN, box_of, seen_share
 from raden_torch.stereo.observed_light import GRAZING, ObservedLight, sampled, shown, thinned
 from raden_torch.stereo.shell_table import readings_deg
-from raden_torch.stereo.solve import Known, ModelNormals, solve_by_model
+from raden_torch.stereo.solve import Known, ModelNormals, prior_of, solve_by_model
 
 MIN_LAMPS = 6
 _INDICES = (1.0, 1.5)
@@ -43,9 +43,9 @@ _BETTER = 0.75
 """Of a matt body's error: above it nothing beyond the Lambertian law has been found. Simulated
 shells came to 0.2 to 0.6, real objects that are nearly matt or in shadow to 0.9 and more.
 """
-_GAIN_WIDTHS = (0.1, 1.0)
-"""Least and greatest standard deviation of the logarithm of a pixel's brightness over the
-material's."""
+_LEAST_GAIN_WIDTH = 0.1
+"""Standard deviation of the logarithm of a pixel's brightness over the material's, where the
+surface is evenly bright."""
 _BLACK = 3.0
 """Times the floor of the photographs, on average: what is darker shows nothing."""
 _USUAL_COSINE = 0.6
@@ -122,17 +122,17 @@ def alternate(
 
         bodies = [lobe(*each, index).tinted(colour) for each in (_MATT, *_LOBES)]
         tried.append(_turned(some, few, bodies, part))
-    few = sampled(light, _LEFT_OUT_PIXELS)
-    errors = [_left_out(each.table.material, few) for each in tried]
+    judges = sampled(light, _LEFT_OUT_PIXELS)
+    errors = [_left_out(each.table.material, judges) for each in tried]
     # the median, since which medium it is shows where there is no shadow
     chosen = min(range(len(tried)), key=lambda k: float(errors[k].median()))
     best, off = tried[chosen], float(errors[chosen].mean())
     # the mean, since few lamps may show a highlight
-    matt_off = float(_left_out(lobe(*_MATT, 1.0).tinted(colour).material, few).mean())
+    matt_off = float(_left_out(lobe(*_MATT, 1.0).tinted(colour).material, judges).mean())
     materials = [best.table.material]
     found = solve_by_model(materials, whole, progress=lambda share: done(0.5 + 0.5 * share))
-    counted = _counted(light, found.normal[:, lit])[:, 0].numpy()
-    angles = readings_deg(light, found.normal[:, lit])[counted]
+    normal = found.normal[:, lit]
+    angles = readings_deg(light, normal)[(_facing(light, normal)[:, 0] > 0).numpy()]
     found = replace(found, gain=found.gain * scale)
     return Alternated(
         found,
@@ -183,11 +183,12 @@ def _turned(
     found = _with(start.material, some)
     _check_spread(found.normal)
     least, moved = float(found.cost.median()), []
-    gain, width = torch.ones_like(found.gain), _GAIN_WIDTHS[0]
+    gain, width = torch.ones_like(found.gain), _LEAST_GAIN_WIDTH
     for turn in range(_TURNS):
         fitted_to = fit_at(some, found.normal, gain, start.index)
         new = solve_by_model([fitted_to.material], some, known=Known((0.0, width), 1.0))
-        gain, width = _spread(new.gain)
+        middle, width = prior_of(new.gain, _LEAST_GAIN_WIDTH)
+        gain = new.gain / math.exp(middle)
         moved.append(float(torch.rad2deg((new.normal - found.normal).norm(dim=0).median())))
         found, cost = new, float(new.cost.median())
         if cost < least:
@@ -212,30 +213,21 @@ def _left_out(material: RuntimeBrdf, light: ObservedLight) -> Tensor:
     return every_error[~every_error.isnan()]
 
 
-def _spread(gain: Tensor) -> tuple[Tensor, float]:
-    """Gains `[P]` over their median, and the standard deviation that their logarithm is expected to
-    have: an evenly bright surface keeps them near 1."""
-    log_gain = gain.log()
-    log_gain = log_gain - log_gain.median()
-    width = 1.5 * 1.4826 * float(log_gain.abs().median())
-    return log_gain.exp(), min(max(width, _GAIN_WIDTHS[0]), _GAIN_WIDTHS[1])
-
-
-def _counted(light: ObservedLight, normal: Tensor) -> Tensor:
-    """`[K, 1, P]` bool: readings that a table is fitted to."""
+def _facing(light: ObservedLight, normal: Tensor) -> Tensor:
+    """`[K, 1, P]` irradiance where a table is fitted to what is seen there, else 0."""
     n, to, view = light.vectors(normal)
     facing = (n * to).sum(1) * light.strength[:, 0, None]
-    return (facing > GRAZING) & ((n * view).sum(1) > 0) & (light.usable > 0)
+    counts = (facing > GRAZING) & ((n * view).sum(1) > 0) & (light.usable > 0)
+    return facing * counts
 
 
 def fit_at(light: ObservedLight, normal: Tensor, gain: Tensor, index: float) -> IsotropicTable:
     """The BRDF in a medium that these pixels show if their normals are these `[3, P]`, and they are
     `gain` `[P]` times as bright."""
-    n, to, view = light.vectors(normal)
-    facing = ((n * to).sum(1) * light.strength[:, 0, None]).clamp(min=0) * gain  # [K, 1, P]
+    facing = _facing(light, normal) * gain
     readings = (light.value / facing.clamp(min=1e-6))[:, :, None]
-    weight = (light.weight * facing * _counted(light, normal))[:, :, None]
-    return fitted(n, to, view, readings, weight, index)
+    weight = (light.weight * facing)[:, :, None]
+    return fitted(*light.vectors(normal), readings, weight, index)
 
 
 def _with(material: RuntimeBrdf, light: ObservedLight) -> ModelNormals:

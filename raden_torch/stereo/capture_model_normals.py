@@ -15,14 +15,14 @@ from torch import Tensor
 from raden_torch.brdf.files.lit_model import load_lit
 from raden_torch.brdf.materials.palette import Palette
 from raden_torch.brdf.materials.surface import Reflection
-from raden_torch.brdf.model.model import Provenance, RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.capture.photo.capture_normals import FoundNormals, LitSet, read_lit_set
 from raden_torch.capture.photo.colour import read_colour
 from raden_torch.capture.photo.photometric_stereo import SurfaceNormals
 from raden_torch.capture.photo.stored_photograph import Coding
 from raden_torch.stereo.alternating import Alternated, alternate
 from raden_torch.stereo.lamp_assignment import agreement
-from raden_torch.stereo.learnt_model import INSTRUMENT, TYPICAL_ALBEDO, albedo_of, learnt_model
+from raden_torch.stereo.learnt_model import TYPICAL_ALBEDO, albedo_of, learnt_model
 from raden_torch.stereo.photographed import Photographed
 from raden_torch.stereo.solve import Known, ModelNormals, joined, learnt, solve_by_model
 
@@ -88,37 +88,22 @@ def capture_model_normals(
     correction = None if options.colour is None else read_colour(options.colour)
     seen = Photographed.of(given, correction)
     notes: list[str] = []
-    some = material = None
-    scale = 1.0  # of the materials, over which the albedo is told
+    material, scale = None, 1.0  # of the materials, over which the albedo is told
     if materials is None:
-        learned = alternate(seen.sample, progress=lambda share: done(0.2 + 0.3 * share))
-        materials, some = [learned.table.material], learned.found
-        if not learned.gained:
-            notes.append(
-                "a BRDF fitted to the normals explains the photographs worse than the body it "
-                "began with, which is kept; compare with --method robust"
-            )
-        elif not learned.has_settled:
-            notes.append(
-                f"normals and material have not settled: they still move by "
-                f"{learned.moved_deg[-1]:.1f} degrees a turn; more lamps, or a model, would help"
-            )
+        light = seen.sample
+        learned = alternate(light, progress=lambda share: done(0.2 + 0.3 * share))
+        materials, some, notes = [learned.table.material], learned.found, _doubts(learned)
         albedo = albedo_of(learned.table.values)
         if learned.is_better:
             scale = TYPICAL_ALBEDO / albedo
             material = _as_model(learned, scale, photographs)
         else:
             scale = math.pi / albedo  # over a white matt body
-            notes.append(
-                "the material that was found predicts a photograph that is left out hardly better "
-                f"than a matt body does (off by {100 * learned.left_out:.1f} % of a pixel's mean, "
-                f"a matt body by {100 * learned.matt_left_out:.1f} %); compare with --method robust"
-            )
+        known = learnt(materials, light)
     else:
         seen = seen.balanced(materials)
-    light = seen.sample
-    known = learnt(materials, light)
-    if some is None:
+        light = seen.sample
+        known = learnt(materials, light)
         some = solve_by_model(materials, light, known=known)
     residual, odd = agreement(materials, light, some, photographs, keep_order=options.keep_order)
     notes += odd
@@ -131,6 +116,28 @@ def capture_model_normals(
     )
 
 
+def _doubts(found: Alternated) -> list[str]:
+    """What a person should know of a material that was found."""
+    notes = []
+    if not found.gained:
+        notes.append(
+            "a BRDF fitted to the normals explains the photographs worse than the body it "
+            "began with, which is kept; compare with --method robust"
+        )
+    elif not found.has_settled:
+        notes.append(
+            f"normals and material have not settled: they still move by "
+            f"{found.moved_deg[-1]:.1f} degrees a turn; more lamps, or a model, would help"
+        )
+    if not found.is_better:
+        notes.append(
+            "the material that was found predicts a photograph that is left out hardly better "
+            f"than a matt body does (off by {100 * found.left_out:.1f} % of a pixel's mean, "
+            f"a matt body by {100 * found.matt_left_out:.1f} %); compare with --method robust"
+        )
+    return notes
+
+
 def _as_model(found: Alternated, scale: float, photographs: Sequence[Path]) -> RadenBrdf:
     """Its albedo is an assumption; the photographs tell no more than how it changes."""
     said = {
@@ -141,9 +148,7 @@ def _as_model(found: Alternated, scale: float, photographs: Sequence[Path]) -> R
         "matt_left_out": round(found.matt_left_out, 4),
         "scale": f"an albedo of {TYPICAL_ALBEDO:g} is assumed",
     }
-    box = [list(ends) for ends in found.box_deg]
-    provenance = Provenance("", INSTRUMENT, fit={"learnt": said, "box_deg": box})
-    return learnt_model(found.table.values, scale, provenance)
+    return learnt_model(found.table.values, scale, "", said, found.box_deg)
 
 
 def members(model: Reflection) -> list[Reflection]:

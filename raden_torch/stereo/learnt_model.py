@@ -27,12 +27,26 @@ _UP_TO_DEG = 45.0
 """The albedo is that of light up to so far from the normal."""
 _GRID_DEG = 2.5
 
+Box = tuple[tuple[float, float], ...]
 Values = Callable[[Tensor], Floats]
 """`[M, 3]` f_r in 1/sr at incidence, receiving and tilt `[3, M]` in radians."""
 
 
-def learnt_model(values: Values, scale: float, provenance: Provenance) -> RadenBrdf:
-    """`scale` times a reflection, on a grid of 2.5 degrees."""
+def learnt_model(
+    values: Values, scale: float, name: str, said: dict[str, object], box_deg: Box
+) -> RadenBrdf:
+    """`scale` times a reflection, on a grid of 2.5 degrees, as a model that says what it is.
+
+    Args:
+        name: of the sample.
+        said: how it was learnt, plain JSON values.
+        box_deg: as of `box_of`.
+    """
+    fit = {"learnt": said, "box_deg": [list(ends) for ends in box_deg]}
+    return _on_grid(values, scale, Provenance(name, INSTRUMENT, fit=fit))
+
+
+def _on_grid(values: Values, scale: float, provenance: Provenance) -> RadenBrdf:
     a = np.arange(0, 90.1, _GRID_DEG)
     both = np.arange(-90, 90.1, _GRID_DEG)
     angles = torch.from_numpy(np.stack(np.meshgrid(a, both, both, indexing="ij"))).deg2rad()
@@ -43,7 +57,7 @@ def learnt_model(values: Values, scale: float, provenance: Provenance) -> RadenB
 
 def albedo_of(values: Values) -> float:
     """The largest directional albedo of light up to 45 degrees from the normal."""
-    each = directional_albedo(learnt_model(values, 1.0, Provenance()))
+    each = directional_albedo(_on_grid(values, 1.0, Provenance()))
     return max(value for angle, value in each.items() if angle <= _UP_TO_DEG)
 
 
@@ -53,7 +67,7 @@ def seen_share(angles_deg: Floats) -> float:
     return float(nodes_read_beside(GRID, angles_deg).mean())
 
 
-def box_of(angles_deg: Floats) -> tuple[tuple[float, float], ...]:
+def box_of(angles_deg: Floats) -> Box:
     """The least and greatest incidence, receiving and tilt of `[M, 3]` readings, rounded."""
     ends = np.stack([angles_deg.min(0), angles_deg.max(0)], 1)
     return tuple((round(float(low), 1), round(float(high), 1)) for low, high in ends)

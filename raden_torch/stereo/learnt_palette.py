@@ -15,11 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from raden_torch.brdf.model.model import Provenance, RadenBrdf
+from raden_torch.brdf.model.model import RadenBrdf
 from raden_torch.errors import InputError
 from raden_torch.stereo.inlay import without_rims
 from raden_torch.stereo.learn_shell import MOST_PIXELS, LearntShell, learn_shell
-from raden_torch.stereo.learnt_model import INSTRUMENT, TYPICAL_ALBEDO, albedo_of, learnt_model
+from raden_torch.stereo.learnt_model import TYPICAL_ALBEDO, albedo_of, learnt_model
 from raden_torch.stereo.observed_light import thinned
 from raden_torch.stereo.photographed import Photographed
 
@@ -103,9 +103,8 @@ def learn_palette(
 
 def _model(shell: LearntShell, exposure: float, name: str, photographs: Sequence[str]) -> RadenBrdf:
     said = {**shell.as_dict(), "photographs": list(photographs)}
-    box = [list(ends) for ends in shell.box_deg]
-    provenance = Provenance(name, INSTRUMENT, fit={"learnt": said, "box_deg": box})
-    return learnt_model(shell.table.values, shell.scale / exposure, provenance)
+    scale = shell.scale / exposure
+    return learnt_model(shell.table.values, scale, name, said, shell.box_deg)
 
 
 def _exposure(found: Sequence[LearntShell], white: float | None) -> float:

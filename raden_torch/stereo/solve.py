@@ -95,12 +95,18 @@ def learnt(materials: Sequence[Reflection], light: ObservedLight) -> Known:
             return _solved(materials, some.at(index), unknown)[0]
 
     found = list(in_threads(solve, tiles, light.value.device))
-    log_gain = torch.cat([f.gain for f in found]).log()
     spread = float(torch.cat([f.spread for f in found]).median())
+    prior = prior_of(torch.cat([f.gain for f in found]), _LEAST_PRIOR)
+    return Known(prior, max(spread, _LEAST_SPREAD))
+
+
+def prior_of(gain: Tensor, least: float) -> tuple[float, float]:
+    """What gains `[P]` tell of those of other pixels: the median of their logarithm, and the
+    standard deviation to expect around it, at least `least`."""
+    log_gain = gain.log()
     middle = log_gain.median()
     width = 1.5 * 1.4826 * float((log_gain - middle).abs().median())
-    spread = max(spread, _LEAST_SPREAD)
-    return Known((float(middle), min(max(width, _LEAST_PRIOR), _WIDEST_PRIOR)), spread)
+    return float(middle), min(max(width, least), _WIDEST_PRIOR)
 
 
 @torch.no_grad()

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 import raden_torch as rt
 from raden_torch.brdf.files.gbuffer_file import read_gbuffer
 from raden_torch.brdf.materials.palette import Palette
-from raden_torch.brdf.model.model import Provenance
 from raden_torch.errors import InputError
 from raden_torch.stereo import learn_shell
 from raden_torch.stereo.learnt_model import INSTRUMENT, learnt_model
@@ -171,4 +170,4 @@ def test_a_learnt_model_is_reciprocal(incidence: float, receiving: float, tilt: 
     torch.testing.assert_close(there, back, rtol=1e-3, atol=1e-4)
 
 
-MODEL = learnt_model(body(6.0, 6.0, 12.0).values, 0.2, Provenance("shell1", INSTRUMENT))
+MODEL = learnt_model(body(6.0, 6.0, 12.0).values, 0.2, "shell1", {}, ())

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
+from raden_torch.capture.photo.board_not_found import FEWEST_CORNERS, board_not_found
 from raden_torch.errors import InputError
 
-FEWEST_CORNERS = 6
 _OUTLIER_PX = 3.0
-_BLURRED_PX = 3.5
 
 
 @dataclass(frozen=True)
@@ -117,7 +116,8 @@ def find_board(picture: NDArray[np.uint8], board: Board, name: str) -> BoardView
         name: of the photograph, for messages.
 
     Raises:
-        InputError: no board, too few corners, another board, blurred, or two boards.
+        BoardNotFound: no board, too few corners, another board, or blurred.
+        InputError: two boards, or a picture of less than 32 pixels.
     """
     import cv2
 
@@ -132,7 +132,7 @@ def find_board(picture: NDArray[np.uint8], board: Board, name: str) -> BoardView
         forms.append(replace(board, legacy=True))
     views = [view for form in forms if (view := _detected(grey, form, name)) is not None]
     if not views:
-        raise InputError(f"{name}: {_why_not(grey, board)}")
+        raise board_not_found(grey, board, name)
     return max(views, key=lambda view: len(view.ids))
 
 
@@ -205,43 +205,3 @@ def _fits(form: Any, quads: Any, markers: Any, shape: tuple[int, ...]) -> bool:
 def _limit_px(shape: tuple[int, ...]) -> float:
     """How far from a plane's picture a lens may bend a corner."""
     return max(_OUTLIER_PX, 0.01 * max(shape))
-
-
-def _why_not(grey: NDArray[np.uint8], board: Board) -> str:
-    import cv2
-
-    wanted = f"a {board.columns} x {board.rows} board of {board.dictionary}"
-    if (grey > 250).mean() > 0.9:
-        return f"expected {wanted}, got an image that is over-exposed nearly everywhere"
-    detector = cv2.aruco.ArucoDetector(board._dictionary())
-    for scale in (1.0, 0.5, 0.25, 0.125):
-        small = cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        if min(small.shape) < 32:
-            break
-        _, ids, _ = detector.detectMarkers(small)
-        found = 0 if ids is None else len(ids)
-        if found >= 3 and scale < 1:
-            return (
-                f"blurred: markers are found only at 1/{round(1 / scale)} of its size; focus, "
-                "hold still, add light"
-            )
-        if found >= 3:
-            return (
-                f"expected {wanted}, got {found} markers that do not form one (fewer than "
-                f"{FEWEST_CORNERS} corners fit); check the numbers of squares, their order "
-                "(columns x rows) and the legacy setting, or show more of the board"
-            )
-    if _edges_px(grey) > _BLURRED_PX:
-        return (
-            f"expected {wanted}, got no board and a blurred image (its sharpest edges are "
-            f"{_edges_px(grey):.0f} pixels wide); focus, hold still, add light, or name the right "
-            "board"
-        )
-    return f"expected {wanted}, whole or nearly so, sharp and lit, got no board"
-
-
-def _edges_px(grey: NDArray[np.uint8]) -> float:
-    """About how wide the sharpest edges are: the picture's range over its steepest slope."""
-    low, high = np.quantile(grey, [0.02, 0.98])
-    steepest = np.quantile(np.abs(np.diff(grey.astype(np.float32), axis=1)), 0.999)
-    return float((high - low) / max(steepest, 1e-3))

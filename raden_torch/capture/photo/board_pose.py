@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.board import FEWEST_CORNERS, BoardView
+from raden_torch.capture.photo.board import BoardView
+from raden_torch.capture.photo.board_not_found import FEWEST_CORNERS
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.errors import InputError
 

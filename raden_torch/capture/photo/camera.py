@@ -69,6 +69,7 @@ class Pose:
     rms_px: float
     corners: int
     covariance: Floats | None = None
+    orientation: int | None = None
 
     def moved(self, by: Floats) -> Pose:
         """With the board turned about the camera's axes, by small angles in radians, and shifted:
@@ -87,8 +88,6 @@ class Pose:
             return []
         variance, axes = np.linalg.eigh(self.covariance)
         return list((axes * np.sqrt(variance.clip(min=0))).T)
-
-    orientation: int | None = None
 
 
 class PoseEntry(Struct):

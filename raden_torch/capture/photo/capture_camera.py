@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.board import Board, BoardView, draw_board, find_board
-from raden_torch.capture.photo.board_not_found import where_others_show_it
+from raden_torch.capture.photo.board_not_found import BoardNotFound
 from raden_torch.capture.photo.board_pose import board_pose
 from raden_torch.capture.photo.calibration import calibrate
 from raden_torch.capture.photo.camera import Calibration, Pose, read_camera, write_camera
@@ -112,7 +112,7 @@ def _views(
     """
     views: list[BoardView] = []
     frames: list[NDArray[np.uint8]] = []
-    wrong: list[str] = []
+    wrong: list[InputError] = []
     others: list[str] = []
     for path in _progress(paths, "looking for the board"):
         picture, own = read_turned(path)
@@ -124,7 +124,7 @@ def _views(
         try:
             view = find_board(picture, board, str(path))
         except InputError as error:
-            wrong.append(str(error))
+            wrong.append(error)
             continue
         if view.board.legacy is not None:
             board = view.board  # one board in all
@@ -135,8 +135,9 @@ def _views(
             f"photographs that show the board: expected at least {enough}, got {len(views)} of "
             f"{len(paths)}. {wrong[0] if wrong else ''}".strip()
         )
-    for message in wrong:
-        warnings.warn(f"left out: {where_others_show_it(message)}", stacklevel=3)
+    for each in wrong:
+        message = each.beside_others if isinstance(each, BoardNotFound) else str(each)
+        warnings.warn(f"left out: {message}", stacklevel=3)
     return views, frames, orientation, others
 
 

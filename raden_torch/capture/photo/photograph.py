@@ -21,7 +21,9 @@ from raden_torch.capture.photo.stored_photograph import (
 from raden_torch.capture.photo.stored_values import LinearValues, linear_values
 from raden_torch.errors import InputError
 from raden_torch.images.colour_space import SRGB_SPACE, in_srgb
+from raden_torch.images.header import read_header
 from raden_torch.images.mosaic import demosaiced
+from raden_torch.images.other_formats import other_format
 from raden_torch.images.pixels import read_image, turned_to
 from raden_torch.images.raw import is_raw
 from raden_torch.images.raw_image import RawColour
@@ -173,6 +175,18 @@ def read_turned(path: str | os.PathLike[str]) -> tuple[NDArray[Any], int | None]
     if pixels.dtype.kind == "u":
         return (pixels >> 8).astype(np.uint8), orientation
     return shown(pixels), orientation
+
+
+def stated_orientation(path: str | os.PathLike[str]) -> int | None:
+    """EXIF's orientation of a photograph, 1…8, None where the file says none; of its header alone
+    where that can be read alone.
+
+    Raises:
+        InputError: as for `read_header`, or `read_linear`.
+    """
+    if is_raw(path) or other_format(path) is not None:
+        return read_turned(path)[1]
+    return orientation_of(read_header(path).tags)
 
 
 def shown(linear: NDArray[Any]) -> NDArray[np.uint8]:

@@ -83,10 +83,9 @@ def scene_to_board(pose: Pose, scene_mm: Any) -> Floats:
 def carried(vector: Floats, before: Pose, after: Pose, *, point: bool = True) -> Floats:
     """What is fixed to the board, points `[…, 3]` in mm or directions: from the camera's frame at
     one pose of the board to that at another."""
-    shift = MM * before.translation_m if point else np.zeros(3)
-    on_board = (vector * Y_UP - shift) @ before.rotation
-    back = MM * after.translation_m if point else np.zeros(3)
-    return np.asarray((on_board @ after.rotation.T + back) * Y_UP)
+    if point:
+        return board_to_scene(after, scene_to_board(before, vector) / MM)
+    return board_direction(after, (vector * Y_UP) @ before.rotation)
 
 
 def board_direction(pose: Pose, direction: Any) -> Floats:

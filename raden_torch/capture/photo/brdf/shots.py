@@ -11,7 +11,7 @@ from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps
 from raden_torch.capture.photo.photo_set import lamp_numbers
-from raden_torch.capture.photo.photograph import read_turned
+from raden_torch.capture.photo.photograph import stated_orientation
 from raden_torch.errors import InputError
 
 
@@ -96,7 +96,7 @@ def check_masks(shots: Sequence[Shot], masks: Sequence[Path | None]) -> None:
         wanted = shot.how.orientation or shot.how.frame_orientation
         if mask is None or wanted is None:
             continue
-        _, own = read_turned(shot.files[0])
+        own = stated_orientation(shot.files[0])
         if own is not None and own != wanted:
             raise InputError(
                 f"{mask}: expected a mask beside photographs of the camera file's orientation, "

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from raden_torch.capture.photo.board import Board, BoardView, find_board
-from raden_torch.capture.photo.board_not_found import where_others_show_it
+from raden_torch.capture.photo.board_not_found import BoardNotFound
 from raden_torch.capture.photo.handheld.edge_blur import Blur, edge_blur
 from raden_torch.capture.photo.handheld.footage import Clip, Picture, pictures
 from raden_torch.errors import InputError
@@ -34,6 +34,7 @@ class Judged:
         refused: why it is not kept, in a few words; "" where it may be.
         thumbnail: `[h, w, 3]`, for the sheet.
         other_way: as of `Picture`.
+        beside_others: as `refused`, where the board was found in others but not in this one.
     """
 
     name: str
@@ -45,6 +46,7 @@ class Judged:
     refused: str
     thumbnail: NDArray[np.uint8]
     other_way: bool = False
+    beside_others: str = ""
 
     @property
     def reason(self) -> str:
@@ -96,7 +98,7 @@ def judged(
             f"{clips[0].name}: expected pictures that show the board, got none in {len(found)}: "
             f"{found[0].refused}"
         )
-    return [each.because(where_others_show_it(each.refused)) for each in found]
+    return [each.because(each.beside_others or each.refused) for each in found]
 
 
 def reasons(looked: Iterable[Judged]) -> list[tuple[str, int]]:
@@ -134,11 +136,13 @@ def _judge(picture: Picture, board: Board, most_blur_px: float) -> Judged:
     scale = min(1.0, _SMALL_PX / max(height, width))
     small = cv2.resize(picture.pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(picture.pixels, cv2.COLOR_RGB2GRAY)
-    view, blur, refused = None, None, ""
+    view, blur, refused, beside_others = None, None, "", ""
     try:
         view = find_board(grey, board, picture.name)
     except InputError as error:
-        refused = "no board found: " + str(error).removeprefix(f"{picture.name}: ")
+        refused = _no_board(picture, str(error))
+        if isinstance(error, BoardNotFound):
+            beside_others = _no_board(picture, error.beside_others)
     else:
         blur = edge_blur(grey, view)
         if blur is None:
@@ -147,9 +151,21 @@ def _judge(picture: Picture, board: Board, most_blur_px: float) -> Judged:
             what = "moved" if blur.is_motion else "out of focus"
             refused = f"{what}: edges are blurred by {blur.worst_px:.1f} px"
     return Judged(
-        picture.name, picture.clip, picture.number, (height, width), view, blur, refused, small,
+        picture.name,
+        picture.clip,
+        picture.number,
+        (height, width),
+        view,
+        blur,
+        refused,
+        small,
         picture.other_way,
-    )  # fmt: skip
+        beside_others,
+    )
+
+
+def _no_board(picture: Picture, why: str) -> str:
+    return "no board found: " + why.removeprefix(f"{picture.name}: ")
 
 
 def _check_size(picture: Picture, others: Sequence[Judged]) -> None:
