@@ -105,7 +105,7 @@ struct GradientTile : Tile<V> {
             }
         if (!wanted.normal && !wanted.light && !wanted.view) return;
         V by_address[3];
-        differentiate_address(g, lanes, visit, by_address);
+        differentiate_address(g, lanes, visit, change, by_address);
         Vector3<V> to_n, to_l, to_v;
         along_vectors(at, n, l, v, cos_i, cos_r, lanes, by_address, to_n, to_l, to_v);
         if (wanted.normal) write(wanted.normal, g, before_normalising(to_n, n, raw_n, above));
@@ -114,19 +114,24 @@ struct GradientTile : Tile<V> {
     }
 
     // The slopes of Σ g f along u, v and w.
-    void differentiate_address(int g, unsigned lanes, const Visit& visit, V by_address[3]) {
+    void differentiate_address(int g, unsigned lanes, const Visit& visit, const V change[3], V by_address[3]) {
         const Table& table = scene.table;
         const int i = g * V::lanes;
-        alignas(64) float slopes[4 * V::lanes];
+        alignas(64) float slopes[3][4 * V::lanes];
         for (int k = 0; k < V::lanes; ++k) {
+            float* const here[3] = {slopes[0] + 4 * k, slopes[1] + 4 * k, slopes[2] + 4 * k};
             if (lanes >> k & 1)
-                slopes_at(by_address[0], table, cells.first[i + k], visit, k, slopes + 4 * k);
+                slopes_at(change[0], table, cells.first[i + k], visit, k, here);
             else
-                for (int c = 0; c < 4; ++c) slopes[4 * k + c] = 0.0f;
+                for (float* p : here)
+                    for (int c = 0; c < 4; ++c) p[c] = 0.0f;
         }
-        planes(slopes, by_address[0], by_address[1], by_address[2]);
         const float per_node[3] = {table.last[0], 0.5f * table.last[1], 0.5f * table.last[2]};
-        for (int c = 0; c < 3; ++c) by_address[c] = by_address[c] * per_node[c];
+        for (int k = 0; k < 3; ++k) {
+            V of[3];
+            planes(slopes[k], of[0], of[1], of[2]);
+            by_address[k] = fma(change[2], of[2], fma(change[1], of[1], change[0] * of[0])) * per_node[k];
+        }
     }
 
     static Vector3<V> sum(const V& a, const Vector3<V>& x, const V& b, const Vector3<V>& y) {

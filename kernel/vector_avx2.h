@@ -70,7 +70,7 @@ inline void fetch(const Avx2&, const Cells& cells, int i, const Table& table, fl
 }
 
 inline void slopes_at(const Avx2&, const Table& table, long node, const Visit& visit, int i,
-                      float* slopes) {
+                      float* const slopes[3]) {
     slopes_avx2(table, node, visit, i, slopes);
 }
 

@@ -77,7 +77,7 @@ inline void fetch(const Avx512&, const Cells& cells, int i, const Table& table, 
 }
 
 inline void slopes_at(const Avx512&, const Table& table, long node, const Visit& visit, int i,
-                      float* slopes) {
+                      float* const slopes[3]) {
     slopes_avx2(table, node, visit, i, slopes);
 }
 

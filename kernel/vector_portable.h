@@ -94,24 +94,20 @@ inline void fetch(P, const Cells& cells, int i, const Table& table, float* rgb) 
     }
 }
 
-// The slopes of g·table along the three axes, in nodes, at pixel i of a vector.
-inline void slopes_at(P, const Table& table, long node, const Visit& visit, int i, float* slopes) {
-    const long corners[4] = {0, table.row, table.slab, table.slab + table.row};
-    const float g[3] = {visit.change[0][i], visit.change[1][i], visit.change[2][i]};
+// The slopes of the table along the three axes, in nodes, at pixel i of a vector: three channels each.
+inline void slopes_at(P, const Table& table, long node, const Visit& visit, int i, float* const slopes[3]) {
+    const float* p = table.values + 3 * node;
     const float x = visit.at[0][i], y = visit.at[1][i], z = visit.at[2][i];
-    float near[4], far[4], line[4];
-    for (int j = 0; j < 4; ++j) {
-        const float* p = table.values + 3 * node + corners[j];
-        near[j] = g[0] * p[0] + g[1] * p[1] + g[2] * p[2];
-        far[j] = g[0] * p[3] + g[1] * p[4] + g[2] * p[5];
-        line[j] = near[j] + z * (far[j] - near[j]);
+    for (int c = 0; c < 3; ++c, ++p) {
+        const auto step = [&](const float* q) { return q[3] - q[0]; };
+        const auto line = [&](const float* q) { return q[0] + z * step(q); };
+        const float *right = p + table.row, *up = p + table.slab, *across = up + table.row;
+        const float low = line(right) - line(p), high = line(across) - line(up);
+        slopes[0][c] = line(up) + y * high - (line(p) + y * low);
+        slopes[1][c] = (1 - x) * low + x * high;
+        slopes[2][c] = (1 - x) * ((1 - y) * step(p) + y * step(right)) +
+                       x * ((1 - y) * step(up) + y * step(across));
     }
-    const float low = line[0] + y * (line[1] - line[0]), high = line[2] + y * (line[3] - line[2]);
-    slopes[0] = high - low;
-    slopes[1] = (1 - x) * (line[1] - line[0]) + x * (line[3] - line[2]);
-    slopes[2] = (1 - x) * ((1 - y) * (far[0] - near[0]) + y * (far[1] - near[1])) +
-                x * ((1 - y) * (far[2] - near[2]) + y * (far[3] - near[3]));
-    slopes[3] = 0;
 }
 
 // What a change g of pixel i gives to each of the eight nodes around it.

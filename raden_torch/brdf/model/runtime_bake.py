@@ -119,6 +119,8 @@ def _node_map(source: _Source) -> _NodeMap:
 
 
 def _csr(starts: Tensor, columns: Tensor, entries: Tensor, size: tuple[int, int]) -> Tensor:
+    if len(columns) < 2**31:  # as MKL has them: 64 bits would be converted for each product
+        starts, columns = starts.int(), columns.int()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # torch calls all of its CSR tensors beta
         return torch.sparse_csr_tensor(
