@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import platform
 import statistics
@@ -167,11 +168,20 @@ def skipping(model: rt.RadenBrdf, runs: int) -> dict[str, dict[str, float]]:
     inlay = (torch.rand(1, 1, 9, 15, generator=generator) < 0.1).float()
     inlay = inlay.repeat_interleave(120, 2).repeat_interleave(128, 3)
     scattered = (torch.rand(1, 1, *FRAME, generator=generator) < 0.1).float()
+    down, across = (torch.arange(n, dtype=torch.float32) for n in FRAME)
+
+    def discs(height: int, width: int) -> Tensor:
+        """One in the middle of each rectangle, of a tenth of its area."""
+        square = (down[:, None] % height - height / 2) ** 2 + (across % width - width / 2) ** 2
+        return (square < 0.1 * height * width / math.pi).float()[None, None]
+
     masks = {
         "whole": None,
         "a mask of ones": torch.ones(1, 1, *FRAME),
         "a mask of zeros": torch.zeros(1, 1, *FRAME),
         f"{100 * float(inlay.mean()):.1f} % in pieces": inlay,
+        "10 % as one disc": discs(*FRAME),
+        "10 % as 864 discs": discs(40, 60),
         "10 % scattered": scattered,
     }
     forms: Forms = {"reading a mask": scattered.sum}

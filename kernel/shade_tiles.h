@@ -7,13 +7,29 @@
 namespace raden {
 
 template <class AnyTile, class Shade>
-void each_tile(const Scene& scene, long first_tile, long last_tile, const Shade& shade) {
+void each_tile(const Scene& scene, long first_tile, long last_tile, const Shade& shade_one) {
+    const auto shade = [&](AnyTile& tile) RADEN_ONCE { shade_one(tile); };
     const long across = tiles_per_row(scene);
+    // where lights are left out by the box around a tile, it stays small
+    const bool gathers = (scene.mask.data || scene.index.data) && !scene.bounded;
+    Gathered left;
     for (long i = first_tile; i < last_tile; ++i) {
-        const long line = i / across;
-        AnyTile tile(scene, line / scene.rows, line % scene.rows, i % across * tile_pixels);
+        const long line = i / across, image = line / scene.rows, row = line % scene.rows, column = i % across;
+        const auto shade_gathered = [&](int least) {
+            while (left.count >= least) {
+                AnyTile tile(scene, image, row, left.first);
+                tile.take(left);
+                shade(tile);
+            }
+        };
+        AnyTile tile(scene, image, row, column * tile_pixels);
         tile.select_pixels();
+        if (gathers && tile.is_cut()) {
+            if (left.table != tile.table) shade_gathered(1);
+            tile.leave(left);
+        }
         shade(tile);
+        shade_gathered(column + 1 == across || i + 1 == last_tile ? 1 : tile_pixels);
     }
 }
 

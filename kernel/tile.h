@@ -9,11 +9,13 @@ namespace raden {
 
 #if defined(__GNUC__)
 #define RADEN_INLINE __attribute__((always_inline)) inline
+#define RADEN_ONCE __attribute__((noinline))  // however often it is called
 static inline int count_of(unsigned bits) { return __builtin_popcount(bits); }
 static inline int lowest(unsigned bits) { return __builtin_ctz(bits); }
 static inline void ask_for(const float* p) { __builtin_prefetch(p); }
 #else
 #define RADEN_INLINE inline
+#define RADEN_ONCE
 static inline int count_of(unsigned bits) {
     int n = 0;
     for (; bits != 0; bits &= bits - 1) ++n;
@@ -23,6 +25,14 @@ static inline int count_of(unsigned bits) {
 static inline int lowest(unsigned bits) { return count_of((bits & (0u - bits)) - 1); }
 static inline void ask_for(const float*) {}
 #endif
+
+// What a mask, or an index of no table, leaves of the tiles of a row, until it fills a tile.
+struct Gathered {
+    long first = 0;              // the column that `at` counts from
+    int count = 0, table = 0;    // the one that all of them read
+    int at[2 * tile_pixels];
+    float masked[2 * tile_pixels];
+};
 
 // The pixels of one tile that are worth a look; all of its buffers together stay in the L1 cache.
 template <class V>
@@ -34,7 +44,9 @@ struct Tile {
     const int width;           // pixels of the tile
     float* target;             // the image that is written
     int count = 0;             // of these, the ones that are shaded
-    bool whole = false;        // all 64
+    bool whole = false;        // all 64, in a row
+    bool gathered = false;     // of several tiles, which were cleared
+    bool stream;               // write past the caches
     int at[tile_pixels];       // which ones
     int table = 0;             // the one that all of them read; −1 where they differ
     int table_of[tile_pixels];
@@ -45,7 +57,35 @@ struct Tile {
     Tile(const Scene& s, long b, long y, long x)
         : scene(s), image(b), row(y), first(x),
           width(static_cast<int>(s.columns - x < tile_pixels ? s.columns - x : tile_pixels)),
-          target(s.image) {}
+          target(s.image), stream(s.stream) {}
+
+    // What is left of this tile goes to others; it has to be cleared all the same.
+    void leave(Gathered& to) {
+        if (to.count == 0) to.first = first, to.table = table;
+        for (int i = 0; i < count; ++i) {
+            to.at[to.count + i] = static_cast<int>(first - to.first) + at[i];
+            if (scene.mask.data) to.masked[to.count + i] = masked[i];
+        }
+        to.count += count;
+        count = 0;
+        stream = false;  // its pixels come soon
+    }
+
+    // A tile's worth of them, in a tile that starts at their first column.
+    void take(Gathered& from) {
+        gathered = true;
+        table = from.table;
+        count = from.count < tile_pixels ? from.count : tile_pixels;
+        from.count -= count;
+        for (int i = 0; i < count; ++i) at[i] = from.at[i];
+        for (int i = 0; i < from.count; ++i) from.at[i] = from.at[count + i];
+        if (!scene.mask.data) return;
+        for (int i = 0; i < tile_pixels; ++i) masked[i] = i < count ? from.masked[i] : 0.0f;
+        for (int i = 0; i < from.count; ++i) from.masked[i] = from.masked[count + i];
+    }
+
+    // Some of its pixels alone are shaded, and they read one table.
+    bool is_cut() const { return count > 0 && count < width && table >= 0; }
 
     long start_of(const Strides& m) const { return image * m.batch + row * m.row + first * m.column; }
 
@@ -171,7 +211,7 @@ struct Tile {
     }
 
     void write(const V& v, float* to) const {
-        if (scene.stream && reinterpret_cast<std::uintptr_t>(to) % (4 * V::lanes) == 0)
+        if (stream && reinterpret_cast<std::uintptr_t>(to) % (4 * V::lanes) == 0)
             v.stream(to);
         else
             v.store(to);
@@ -191,7 +231,7 @@ struct Tile {
         if (whole) return;
         for (int c = 0; c < 3; ++c) {
             float* to = pixel(c);
-            if (count < width)
+            if (count < width && !gathered)
                 for (int i = 0; i < width; ++i) to[i] = 0.0f;
             for (int i = 0; i < count; ++i) to[at[i]] = sum[c][i];
         }
