@@ -30,6 +30,8 @@ Finite = Annotated[float, Meta(ge=-_MOST, le=_MOST)]
 Positive = Annotated[float, Meta(gt=0, le=_MOST)]
 NotNegative = Annotated[float, Meta(ge=0, le=_MOST)]
 Count = Annotated[int, Meta(ge=0, le=_MOST_COUNTED)]
+Orientation = Annotated[int, Meta(ge=1, le=8)]
+"""EXIF's."""
 Triple = tuple[Finite, Finite, Finite]
 Matrix = tuple[Triple, Triple, Triple]
 Text = Annotated[

@@ -24,21 +24,23 @@ class BallLens:
         matrix: `[3, 3]` pixels; None: far away, every view is parallel.
         distortion: as OpenCV has it.
         radius_mm: of the balls; 1 without a camera.
+        orientation: EXIF's, 1…8, by which the camera's photographs are turned; None where nobody
+            says.
+        size: height and width of its photographs; None without a camera.
     """
 
     matrix: Floats | None = None
     distortion: Floats | None = None
     radius_mm: float = 1.0
+    orientation: int | None = None
+    size: tuple[int, int] | None = None
 
     @classmethod
-    def of(cls, path: Path | None, radius_mm: float | None, size: tuple[int, int]) -> BallLens:
+    def of(cls, path: Path | None, radius_mm: float | None) -> BallLens:
         """From a camera file.
 
-        Args:
-            size: height and width of the photographs.
-
         Raises:
-            InputError: a camera without the balls' radius, or the other way round; another size.
+            InputError: a camera without the balls' radius, or the other way round.
         """
         if path is None:
             if radius_mm is not None:
@@ -47,13 +49,16 @@ class BallLens:
         if radius_mm is None or not 0 < radius_mm < np.inf:
             raise InputError(f"{path}: with a camera the ball's radius in mm is needed, above 0")
         camera = read_camera(path)
-        if camera.size != size:
-            (h, w), (height, width) = camera.size, size
+        return cls(camera.matrix, camera.distortion, radius_mm, camera.orientation, camera.size)
+
+    def check_size(self, path: Path | None, size: tuple[int, int]) -> None:
+        """Raise InputError where the camera of file `path` takes photographs of another size."""
+        if self.size is not None and self.size != size:
+            (h, w), (height, width) = self.size, size
             raise InputError(
                 f"{path}: expected the camera that took the photographs, at their size of {width} "
                 f"x {height} pixels, got one of {w} x {h}"
             )
-        return cls(camera.matrix, camera.distortion, radius_mm)
 
     def straight(self, image: NDArray[Any]) -> NDArray[Any]:
         """`[H, W, …]` without distortion."""

@@ -10,21 +10,20 @@ import os
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from raden_torch.arrays import Floats
 from raden_torch.capture.photo.board import Board, BoardView
 from raden_torch.capture.photo.opencv_calibration import is_opencv_file, read_opencv_camera
 from raden_torch.capture.photo.result_file import read_result, write_result
 from raden_torch.errors import InputError
-from raden_torch.schema import Count, Finite, Matrix, NotNegative, Triple
+from raden_torch.schema import Count, Finite, Matrix, NotNegative, Orientation, Triple
 
 KIND = "camera"
 _Six = tuple[Finite, Finite, Finite, Finite, Finite, Finite]
-Orientation = Annotated[int, Meta(ge=1, le=8)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ from raden_torch.capture.photo.lamps import Lamps, lamps_from_balls
 from raden_torch.capture.photo.lights_check import MIN_LAMPS, check_lights
 from raden_torch.capture.photo.photo_set import (
     PhotoSet,
+    check_masks,
     read_mask,
     read_set,
 )
@@ -64,8 +65,15 @@ def capture_lights(
             f"{photographs[-1]}: expected at least {MIN_LAMPS} photographs of the ball, one per "
             f"lamp, got {len(photographs)}"
         )
-    photos = read_set(photographs, coded=coded, progress=lambda share: done(0.5 * share))
-    lens = BallLens.of(camera, ball_radius_mm, photos.size)
+    lens = BallLens.of(camera, ball_radius_mm)
+    photos = read_set(
+        photographs,
+        coded=coded,
+        orientation=lens.orientation,
+        progress=lambda share: done(0.5 * share),
+    )
+    lens.check_size(camera, photos.size)
+    check_masks(photos, masks)
     linear = [lens.straight(image.movedim(0, -1).numpy()) for image in photos.images]
     shape: dict[str, Any] = {"matrix": lens.matrix, "radius": lens.radius_mm}
     if masks:
@@ -82,7 +90,9 @@ def capture_lights(
     ]
     lamps = lamps_from_balls(balls, seen, unit="px" if camera is None else "mm")
     std_deg = direction_std_deg(lamps, balls, seen)
-    lamps = replace(lamps, distortion=lens.distortion, std_deg=std_deg)
+    lamps = replace(
+        lamps, distortion=lens.distortion, std_deg=std_deg, orientation=photos.orientation
+    )
     check_lights(torch.from_numpy(lamps.direction), f"{photographs[0]} … {photographs[-1]}")
     _warn_of_twins(lamps)
     done(0.6)

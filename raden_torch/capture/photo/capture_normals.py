@@ -21,6 +21,7 @@ from raden_torch.capture.photo.lights_check import check_lights
 from raden_torch.capture.photo.photo_set import (
     PhotoSet,
     check_exposure,
+    check_orientation,
     lamp_numbers,
     read_mask,
     read_set,
@@ -153,6 +154,7 @@ def read_lit_set(
     """
     lamps = _read_lamps(lights, photographs)
     photos = read_set(photographs, coded=coded, progress=progress)
+    check_orientation(photos.paths[0], photos.orientation, lights, lamps.orientation)
     inside = np.ones(photos.size, np.float32) if mask is None else read_mask(mask, photos.size)
     check_exposure(photos, torch.from_numpy(inside)[None, None])
     power = lamps.exponent if exponent is None else exponent

@@ -22,7 +22,7 @@ from raden_torch.capture.photo.directions import apart_deg, nearest_points
 from raden_torch.capture.photo.highlight import Highlight
 from raden_torch.capture.photo.result_file import read_result, write_result
 from raden_torch.errors import InputError
-from raden_torch.schema import Finite, Matrix, Positive, Triple
+from raden_torch.schema import Finite, Matrix, Orientation, Positive, Triple
 
 KIND = "lights"
 _PARALLEL_DEG = 0.5
@@ -53,6 +53,8 @@ class Lamps:
             where nothing is known.
         moved: `[K]` bool, lamps that stood elsewhere when a reference sphere was photographed;
             normals leave them out. None where that was not asked.
+        orientation: EXIF's, 1…8, by which the photographs were turned in which they were seen;
+            None where nobody says.
     """
 
     direction: Floats
@@ -69,6 +71,7 @@ class Lamps:
     std_deg: Floats | None = None
     photographs: tuple[tuple[str, ...], ...] = ()
     moved: NDArray[np.bool_] | None = None
+    orientation: int | None = None
 
     def __len__(self) -> int:
         return len(self.direction)
@@ -161,6 +164,7 @@ class LightsFile(Struct):
     response_exponent: Finite
     camera_matrix_px: Matrix | None = None
     camera_distortion: tuple[Finite, ...] | None = None
+    orientation: Orientation | None = None
 
 
 def lamps_from_balls(
@@ -246,6 +250,7 @@ def write_lamps(
         "response_exponent": round(lamps.exponent, 4),
         **({} if lamps.matrix is None else {"camera_matrix_px": lamps.matrix}),
         **({} if lamps.distortion is None else {"camera_distortion": lamps.distortion}),
+        **({} if lamps.orientation is None else {"orientation": lamps.orientation}),
         "lamps": each,
         "balls": found,
         "notes": list(lamps.notes),
@@ -280,6 +285,7 @@ def read_lamps(path: str | os.PathLike[str]) -> Lamps:
         std_deg=_column(path, found.lamps, "direction_std_deg"),
         photographs=_photographs(found.lamps),
         moved=moved if moved.any() else None,
+        orientation=found.orientation,
     )
 
 

@@ -27,6 +27,7 @@ from raden_torch.images.shot_settings import (
 MAX_VALUES = 2**31
 """The most values of a set that are read: 8 GiB."""
 
+_RETAG = "give all one orientation (exiftool -n -Orientation={} FILES)"
 _TOO_BRIGHT = 0.1
 _USELESS = 0.8
 _BLACK = 0.02
@@ -40,11 +41,15 @@ class PhotoSet:
         images: `[K, 3, H, W]` float32, linear light, at the first one's exposure.
         saturated: `[K, 1, H, W]` bool.
         paths: the files, in the order of the lamps.
+        orientation: EXIF's, 1…8, by which they were turned; None where the first states none.
+        stated: that of the first one's own file.
     """
 
     images: Tensor
     saturated: Tensor
     paths: tuple[Path, ...]
+    orientation: int | None = None
+    stated: int | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -56,9 +61,14 @@ def read_set(
     paths: Sequence[Path],
     *,
     coded: Coding = "auto",
+    orientation: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> PhotoSet:
     """Read the photographs of a set; `coded` as for `read_linear`.
+
+    Args:
+        orientation: EXIF's, 1…8, by which those are turned whose files state one; None: as their
+            own files say, which have to agree.
 
     Raises:
         InputError: as for `read_linear`; sizes, cameras, lenses, zoom or white balance that differ;
@@ -69,7 +79,7 @@ def read_set(
     """
     if not paths:
         raise InputError("photographs: expected one per lamp, got none")
-    first = read_linear(paths[0], coded=coded)
+    first, stated = _read(paths[0], coded, orientation)
     height, width = first.size
     if 3 * height * width * len(paths) > MAX_VALUES:
         raise InputError(
@@ -80,7 +90,7 @@ def read_set(
     saturated = torch.empty(len(paths), 1, height, width, dtype=torch.bool)
     shots: list[tuple[Path, ShotSettings]] = []
     for k, path in enumerate(paths):
-        photo = first if k == 0 else read_linear(path, coded=coded)
+        photo = first if k == 0 else _read(path, coded, orientation)[0]
         check_same_size([first, photo])
         if photo.bits != first.bits:
             raise InputError(
@@ -96,7 +106,53 @@ def read_set(
     brightness = relative_exposures(shots)
     if brightness is not None:
         images /= torch.tensor(brightness).view(-1, 1, 1, 1)
-    return PhotoSet(images, saturated, tuple(paths))
+    return PhotoSet(images, saturated, tuple(paths), first.settings.orientation, stated)
+
+
+def _read(path: Path, coded: Coding, orientation: int | None) -> tuple[Photograph, int | None]:
+    """A photograph, and the orientation that its file states."""
+    photo = read_linear(path, coded=coded)
+    stated = photo.settings.orientation
+    if orientation is None or stated is None:
+        return photo, stated
+    return photo.turned_to(orientation), stated
+
+
+def check_masks(photos: PhotoSet, masks: Sequence[str | os.PathLike[str]]) -> None:
+    """Masks are painted over photographs as their own files turn them.
+
+    Raises:
+        InputError: a mask beside photographs that are read in another orientation.
+    """
+    if masks and photos.stated != photos.orientation:
+        raise InputError(
+            f"{masks[0]}: expected a mask beside photographs of the camera file's orientation, "
+            f"{photos.orientation}, got {photos.paths[0]} of EXIF's orientation {photos.stated}; "
+            f"{_RETAG.format(photos.orientation)}, and paint the mask over them"
+        )
+
+
+def check_orientation(
+    of: str | os.PathLike[str],
+    orientation: int | None,
+    lights: str | os.PathLike[str],
+    theirs: int | None,
+) -> None:
+    """Lamps are as seen in the photographs that showed them.
+
+    Args:
+        of: a photograph, which is turned by `orientation`.
+        theirs: EXIF's orientation by which the photographs were turned that gave the lamps.
+
+    Raises:
+        InputError: both are known, and differ.
+    """
+    if None not in (orientation, theirs) and orientation != theirs:
+        raise InputError(
+            f"{of}: orientation by EXIF: expected {theirs}, as the photographs had that gave "
+            f"{lights}, got {orientation}; a camera that looks down guesses how it is held: where "
+            f"it was not turned, {_RETAG.format(theirs)}"
+        )
 
 
 def read_mask(path: str | os.PathLike[str], size: tuple[int, int]) -> NDArray[Any]:

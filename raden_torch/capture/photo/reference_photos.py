@@ -25,6 +25,8 @@ from raden_torch.capture.photo.matt_reference import (
 from raden_torch.capture.photo.photo_set import (
     PhotoSet,
     check_exposure,
+    check_masks,
+    check_orientation,
     numbered_files,
     read_mask,
     read_set,
@@ -97,7 +99,7 @@ def lamps_by_reference(
     """
     if reference.fit_response and reference.shape != "sphere":
         raise InputError("the response needs a reference sphere: a card shows one normal only")
-    matt = _read(reference, len(lamps), lens, coded, lambda share: done(0.5 * share))
+    matt = _read(reference, lamps, lens, coded, lambda share: done(0.5 * share))
     lights = torch.from_numpy(lamps.direction).float()
     exponent, moved, notes = 1.0, None, lamps.notes
     if reference.shape == "sphere":
@@ -123,16 +125,19 @@ def lamps_by_reference(
 
 
 def _read(
-    reference: Reference, count: int, lens: BallLens, coded: Coding, done: Callable[[float], None]
+    reference: Reference, lamps: Lamps, lens: BallLens, coded: Coding, done: Callable[[float], None]
 ) -> _Matt:
     named = numbered_files(reference.pattern)
     paths = [path for path in named if not is_same_file(path, reference.mask)]
+    count = len(lamps)
     if len(paths) != count:
         raise InputError(
             f"{reference.pattern}: expected one photograph of the reference per lamp, got "
             f"{len(paths)} for {count} lamps"
         )
-    photos = read_set(paths, coded=coded, progress=done)
+    photos = read_set(paths, coded=coded, orientation=lens.orientation, progress=done)
+    check_masks(photos, [reference.mask])
+    check_orientation(paths[0], photos.orientation, "the lamps", lamps.orientation)
     mask = read_mask(reference.mask, photos.size)
     check_exposure(photos, torch.from_numpy(mask)[None, None])
     photos = lens.straightened(

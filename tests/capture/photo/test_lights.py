@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import cv2
@@ -9,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
 from raden_torch.capture.photo.capture_lights import capture_lights
@@ -244,6 +248,72 @@ def test_a_lamp_that_moved_is_named_and_left_out(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="it disagrees with the others"):
         kept = capture_normals(greys, lights, mask, coded="linear").surface
     assert np.isfinite(float(kept.lamp_residual[2]))
+
+
+def retagged(path: Path, orientation: int | None, *, lying: bool = False) -> Path:
+    """The photograph in 8 bits with an orientation in EXIF: of the same scene, or, lying, of the
+    same pixels."""
+    pixels = cv2.imread(str(path))[..., ::-1]
+    exif = Image.Exif()
+    if orientation is not None:
+        exif[274] = orientation
+    if orientation == 3 and not lying:
+        pixels = pixels[::-1, ::-1]
+    target = path.with_name(f"{path.stem}-{orientation}-{lying}.png")
+    Image.fromarray(np.ascontiguousarray(pixels)).save(target, exif=exif)
+    return target
+
+
+def test_lamps_are_as_the_camera_file_turns_the_photographs(
+    balls_under_coloured_lamps, tmp_path: Path
+) -> None:
+    """Rationale: a phone that looks down guesses how it is held, and tags one sensor's pictures as
+    turned by 180 degrees. Expected: the lamps of untagged ones; a mask over pictures that the
+    camera file turns is refused."""
+    photographs, grey, _ = balls_under_coloured_lamps
+    camera = tmp_path / "camera.json"
+    content = {
+        **{"format": "raden capture", "version": 1, "kind": "camera", "distortion": [0.0] * 5},
+        **{"image_width_px": SIZE[1], "image_height_px": SIZE[0], "orientation": 1},
+        "camera_matrix_px": MATRIX.tolist(),
+    }
+    camera.write_text(json.dumps(content))
+
+    def lamps(orientation: int | None, masks: Sequence[Path] = ()) -> Lamps:
+        tagged = [retagged(path, orientation, lying=True) for path in photographs]
+        return capture_lights(
+            tagged, masks, camera=camera, ball_radius_mm=10.0, coded="linear"
+        ).lamps
+
+    upright, turned = lamps(None), lamps(3)
+    assert upright.orientation is None
+    assert turned.orientation == 1
+    np.testing.assert_array_equal(turned.direction, upright.direction)
+    with pytest.raises(InputError, match=r"mask\.png: expected a mask beside .*, 1, got"):
+        lamps(3, [grey.mask])
+    assert lamps(1, [grey.mask]).orientation == 1
+
+
+@pytest.mark.filterwarnings("ignore:.*disagrees with the others")  # the lamps' tints
+@pytest.mark.parametrize(
+    ("theirs", "own", "fits"), [(1, 1, True), (3, 3, True), (1, 3, False), (None, 3, True)]
+)
+def test_lamps_and_photographs_that_are_turned_otherwise(
+    balls_under_coloured_lamps, tmp_path: Path, theirs: int | None, own: int, fits: bool
+) -> None:
+    """Expected: refused, where both say how they are turned; the reference, too."""
+    photographs, grey, _ = balls_under_coloured_lamps
+    matt = [retagged(path, own) for path in sorted(tmp_path.glob("g?.png"))]
+    balls = [retagged(path, theirs) for path in photographs]
+    lights = tmp_path / "lights.json"
+    write_lamps(capture_lights(balls, [grey.mask], coded="linear").lamps, lights)
+    assert read_lamps(lights).orientation == theirs
+    said = rf"orientation by EXIF: expected {theirs}, as the photographs had that gave"
+    reference = Reference(str(tmp_path / f"g?-{own}-False.png"), grey.mask)
+    with nullcontext() if fits else pytest.raises(InputError, match=said):
+        capture_normals(matt, lights, grey.mask, coded="linear")
+    with nullcontext() if fits else pytest.raises(InputError, match=said):
+        capture_lights(balls, [grey.mask], reference=reference, coded="linear")
 
 
 def test_lights_come_back_from_their_file(tmp_path: Path) -> None:

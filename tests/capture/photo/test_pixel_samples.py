@@ -427,3 +427,9 @@ def test_a_camera_says_how_its_photographs_are_turned(
             check_masks([shot], (None, tmp_path / "m.png"))
         turned = stored[::-1, ::-1] if upside_down and not more else stored
         np.testing.assert_allclose(read_frame(shot).radiance, turned / 255, atol=1e-6)
+        # lamps are turned as the photographs were that showed them
+        lights = json.loads((tmp_path / "l.json").read_text("utf-8"))
+        (tmp_path / "t.json").write_text(json.dumps(lights | {"orientation": 1}))
+        refused = pytest.raises(InputError, match=r"expected 1, as .* gave .*t\.json, got 3")
+        with refused if upside_down and not more else nullcontext():
+            read_series([tmp_path / "a.png"], replace(setup, lights=tmp_path / "t.json"))

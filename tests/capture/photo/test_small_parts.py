@@ -68,7 +68,7 @@ def test_pictures_of_balls_without_distortion(tmp_path: Path) -> None:
     """Straightened as OpenCV does it; without a camera nothing is touched."""
     path = tmp_path / "camera.yml"
     path.write_text(CAMERA)
-    lens = BallLens.of(path, 10.0, (48, 64))
+    lens = BallLens.of(path, 10.0)
     assert lens.matrix is not None
     picture = np.random.default_rng(0).random((48, 64, 3)).astype(np.float32)
     wanted = cv2.undistort(picture, lens.matrix, np.array([-0.3, 0.1, 0, 0, 0]))
@@ -76,15 +76,15 @@ def test_pictures_of_balls_without_distortion(tmp_path: Path) -> None:
     photos = PhotoSet(torch.from_numpy(picture).movedim(-1, 0)[None], torch.zeros(1, 1, 48, 64), ())
     straight = lens.straightened(photos, [lens.straight(picture)])
     np.testing.assert_array_equal(straight.images[0].movedim(0, -1), wanted)
-    plain = BallLens.of(None, None, (48, 64))
+    plain = BallLens.of(None, None)
     assert plain.straight(picture) is picture
     assert plain.straightened(photos, []) is photos
     with pytest.raises(InputError, match="of use with a camera only"):
-        BallLens.of(None, 10.0, (48, 64))
+        BallLens.of(None, 10.0)
     with pytest.raises(InputError, match="the ball's radius in mm is needed"):
-        BallLens.of(path, None, (48, 64))
+        BallLens.of(path, None)
     with pytest.raises(InputError, match=r"at their size of 50 x 40 pixels, got one of 64 x 48"):
-        BallLens.of(path, 10.0, (40, 50))
+        lens.check_size(path, (40, 50))
 
 
 def charted(pitch: int = 30) -> np.ndarray:

@@ -16,6 +16,7 @@ from raden_torch.capture.photo.camera import Camera, CameraFile, Pose, read_came
 from raden_torch.capture.photo.development import developed
 from raden_torch.capture.photo.exposures import CEILING, unsaturated
 from raden_torch.capture.photo.lamps import read_lamps
+from raden_torch.capture.photo.photo_set import check_orientation
 from raden_torch.capture.photo.result_file import read_result
 from raden_torch.errors import InputError
 from raden_torch.images.raw_image import RawColour
@@ -89,6 +90,8 @@ def read_series(photographs: Sequence[Path], setup: CaptureSetup) -> PhotoSeries
     seen_in = _seen_in(setup, poses)
     of_shots = lamps_of_shots(lamps, shots, camera, setup, seen_in)
     frame = read_frame(shots[0])
+    turned = frame.settings.orientation
+    check_orientation(shots[0].files[0], turned, setup.lights, lamps.orientation)
     size = frame.size
     if camera is not None and camera.size != size:
         (h, w), (height, width) = camera.size, size

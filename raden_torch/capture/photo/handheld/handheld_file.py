@@ -217,6 +217,7 @@ def _lamps(found: Handheld) -> Lamps:
         notes=found.notes,
         matrix=found.camera.matrix,
         distortion=found.camera.distortion,
+        orientation=found.camera.orientation,
         std_deg=np.array([max(lamp.std_deg, _LEAST_STD_DEG) for lamp in found.lamps]),
         photographs=tuple(names),
     )
