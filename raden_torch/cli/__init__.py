@@ -52,7 +52,7 @@ def run(arguments: Sequence[str]) -> None:
     Raises:
         CycloptsError: the arguments are none of its.
     """
-    _, apps, rest = app.parse_commands(arguments)
+    names, apps, rest = app.parse_commands(arguments)
     if apps[-1].default_command is None and not rest:
         app.help_print(arguments)
         sys.exit(2)
@@ -60,14 +60,19 @@ def run(arguments: Sequence[str]) -> None:
     if level() is Level.VERBOSE:
         print(f"raden: {_versions()}", file=sys.stderr)
     given.apply_defaults()
-    with _said(given.arguments):
+    with _said(names, given.arguments):
         command(*given.args, **given.kwargs)
 
 
+_WRITE_INTO_FOLDERS = {("capture", "batch"), ("catalogue", "add")}
+"""Commands that take no name of what they write."""
+
+
 @contextmanager
-def _said(given: dict[str, Any]) -> Iterator[None]:
+def _said(names: Sequence[str], given: dict[str, Any]) -> Iterator[None]:
     """Under --quiet a command that writes files prints nothing, unless it is asked for JSON."""
     writes = any(given.get(name) is not None for name in ("output", "out", "queue"))
+    writes = writes or tuple(names) in _WRITE_INTO_FOLDERS
     as_json = given.get("as_json") or getattr(given.get("sequence"), "json", False)
     if level() is not Level.QUIET or as_json or not writes:
         yield

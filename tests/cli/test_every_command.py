@@ -103,6 +103,12 @@ def test_quiet_leaves_out_all_but_warnings(raden: Command, folder: Path, tmp_pat
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     answer = raden("info", shell, "--quiet")
     assert "75 readings" in answer.stdout
+    for named in ("-q", ""):  # what is written into a folder is no option
+        done = raden("catalogue", "add", tmp_path / f"shells{named}", shell, *named.split())
+        assert (done.returncode, done.stderr) == (0, "")
+        assert (done.stdout == "") == bool(named)
+    found = raden("catalogue", "find", tmp_path / "shells-q", "-q")
+    assert "shell" in found.stdout
     as_json = raden("merge", shell, folder / "scan.csv", "-o", out, "-q", "--json")
     assert json.loads(as_json.stdout)["output"] == str(out)
     black = raden(
