@@ -211,6 +211,21 @@ def test_the_fused_kernel_is_the_eager_form(uneven, random_vectors, layers, one_
         assert (fused[..., 1, 0] == 0).all()  # not a number
 
 
+def test_a_mask_changes_no_other_pixel(uneven, random_vectors) -> None:
+    """Bit for bit, where it cuts the tiles whose pixels are then shaded together."""
+    _, lights = scene(random_vectors)
+    normal, tangent = (random_vectors(2000, k).float().view(1, 3, 8, 250) for k in (1, 3))
+    gbuffer = rt.GBuffer(normal, position=0.1 * tangent, camera=(0.1, 0.2, 5.0), tangent=tangent)
+    mask = (torch.rand(1, 1, 8, 250, generator=torch.Generator().manual_seed(6)) < 0.2).float()
+    with torch.no_grad():
+        image = shade_turned(uneven, gbuffer, lights)
+        found = shade_turned(uneven, replace(gbuffer, mask=mask), lights)
+    assert image is not None
+    assert found is not None
+    assert torch.equal(found, image * mask)
+    assert float(found.max()) > 0
+
+
 def test_even_azimuths_take_another_way_in_the_kernel_to_the_same(random_vectors, uneven) -> None:
     gbuffer, lights = scene(random_vectors)
     for azimuths, period in (((30.0, 150.0, 270.0), 360.0), ((0.0, 60.0, 120.0), 180.0)):

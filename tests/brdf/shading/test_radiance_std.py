@@ -174,6 +174,26 @@ def test_a_frame_that_is_not_whole_tiles(model) -> None:
         torch.testing.assert_close(mine[0, :, 20, 10], theirs[0, :, 0, 0], rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.skipif(not simd.LEVELS, reason="the kernel was not built here")
+@pytest.mark.parametrize("level", simd.LEVELS)
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.9])
+def test_a_mask_changes_no_other_pixel(model, level: str, share: float) -> None:
+    """Rationale: pixels of tiles that a mask cuts are shaded together. Expected: all three images
+    times the mask, bit for bit, in rows that follow one another and in a part of each."""
+    whole = sphere(200, samples=1)
+    mask = (torch.rand(1, 1, 200, 200, generator=torch.Generator().manual_seed(4)) < share).float()
+    for columns in (slice(None), slice(3, 190)):
+        part = rt.GBuffer(whole.normal[..., columns], view=(0.0, 0.3, 1.0))
+        kept = mask[..., columns]
+        with simd.using(level):
+            image, std = shaded(model, part, LAMP, FAR)
+            found, of_it = shaded(model, replace(part, mask=kept), LAMP, FAR)
+        assert torch.equal(found, image * kept)
+        assert torch.equal(of_it.own, std.own * kept)
+        assert torch.equal(of_it.systematic, std.systematic * kept)
+        assert float(found.max()) > 0
+
+
 def test_without_lights_it_is_dark(model) -> None:
     image, std = rt.shade(model, sphere(70, samples=1), [], return_std=True)
     for each in (image, std.own, std.systematic):
