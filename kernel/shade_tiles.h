@@ -10,7 +10,7 @@ template <class AnyTile, class Shade>
 void each_tile(const Scene& scene, long first_tile, long last_tile, const Shade& shade_one) {
     const auto shade = [&](AnyTile& tile) RADEN_ONCE { shade_one(tile); };
     const long across = tiles_per_row(scene);
-    // where lights are left out by the box around a tile, it stays small
+    // not where a tile leaves lights out by the box around its pixels, which is to be small
     const bool gathers = (scene.mask.data || scene.index.data) && !scene.bounded;
     Gathered left;
     for (long i = first_tile; i < last_tile; ++i) {
