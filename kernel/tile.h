@@ -129,6 +129,9 @@ struct Tile {
             kept += k < tables && scene.tables[k].values;
         }
         count = kept;
+        table = count > 0 ? table_of[0] : 0;  // what was left out told nothing
+        for (int i = 0; i < count; ++i)
+            if (table_of[i] != table_of[0]) table = -1;
         pad_tables();
     }
 

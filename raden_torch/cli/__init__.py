@@ -64,7 +64,7 @@ def run(arguments: Sequence[str]) -> None:
         command(*given.args, **given.kwargs)
 
 
-_WRITE_INTO_FOLDERS = {("capture", "batch"), ("catalogue", "add")}
+_WRITE_INTO_FOLDERS = {("catalogue", "add")}
 """Commands that take no name of what they write."""
 
 

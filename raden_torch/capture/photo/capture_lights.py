@@ -90,9 +90,8 @@ def capture_lights(
     ]
     lamps = lamps_from_balls(balls, seen, unit="px" if camera is None else "mm")
     std_deg = direction_std_deg(lamps, balls, seen)
-    lamps = replace(
-        lamps, distortion=lens.distortion, std_deg=std_deg, orientation=photos.orientation
-    )
+    way = photos.orientation if lens.orientation is None else lens.orientation
+    lamps = replace(lamps, distortion=lens.distortion, std_deg=std_deg, orientation=way)
     check_lights(torch.from_numpy(lamps.direction), f"{photographs[0]} … {photographs[-1]}")
     _warn_of_twins(lamps)
     done(0.6)

@@ -21,6 +21,7 @@ from raden_torch.capture.photo.lights_check import check_lights
 from raden_torch.capture.photo.photo_set import (
     PhotoSet,
     check_exposure,
+    check_masks,
     check_orientation,
     lamp_numbers,
     read_mask,
@@ -153,7 +154,10 @@ def read_lit_set(
     Photographs under lamps that moved count as saturated everywhere, so that nothing uses them.
     """
     lamps = _read_lamps(lights, photographs)
-    photos = read_set(photographs, coded=coded, progress=progress)
+    # lamps with a camera are in the frame of its file, which says how photographs are turned
+    way = None if lamps.matrix is None else lamps.orientation
+    photos = read_set(photographs, coded=coded, orientation=way, progress=progress)
+    check_masks(photos, [] if mask is None else [mask])
     check_orientation(photos.paths[0], photos.orientation, lights, lamps.orientation)
     inside = np.ones(photos.size, np.float32) if mask is None else read_mask(mask, photos.size)
     check_exposure(photos, torch.from_numpy(inside)[None, None])

@@ -149,7 +149,7 @@ def check_orientation(
     """
     if None not in (orientation, theirs) and orientation != theirs:
         raise InputError(
-            f"{of}: orientation by EXIF: expected {theirs}, as the photographs had that gave "
+            f"{of}: orientation by EXIF: expected {theirs}, as the photographs were read that gave "
             f"{lights}, got {orientation}; a camera that looks down guesses how it is held: where "
             f"it was not turned, {_RETAG.format(theirs)}"
         )

@@ -10,13 +10,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
 from raden_torch.capture.photo.ball import Ball, ball_from_mask, find_ball
 from raden_torch.capture.photo.capture_lights import capture_lights
-from raden_torch.capture.photo.capture_normals import capture_normals
+from raden_torch.capture.photo.capture_normals import capture_normals, read_lit_set
 from raden_torch.capture.photo.highlight import find_highlight
 from raden_torch.capture.photo.lamps import (
     Lamps,
@@ -286,12 +287,20 @@ def test_lamps_are_as_the_camera_file_turns_the_photographs(
         ).lamps
 
     upright, turned = lamps(None), lamps(3)
-    assert upright.orientation is None
+    assert upright.orientation == 1  # as the camera file says
     assert turned.orientation == 1
     np.testing.assert_array_equal(turned.direction, upright.direction)
     with pytest.raises(InputError, match=r"mask\.png: expected a mask beside .*, 1, got"):
         lamps(3, [grey.mask])
     assert lamps(1, [grey.mask]).orientation == 1
+    # the sample's photographs are turned as the balls' were: not refused for their own tags
+    write_lamps(turned, tmp_path / "lights.json")
+    matt = [retagged(path, 3, lying=True) for path in sorted(tmp_path.glob("g?.png"))]
+    found = read_lit_set(matt, tmp_path / "lights.json", None, coded="linear")
+    assert found.photos.orientation == 1
+    plain = [retagged(path, None) for path in sorted(tmp_path.glob("g?.png"))]
+    upright_set = read_lit_set(plain, tmp_path / "lights.json", None, coded="linear")
+    assert torch.equal(found.photos.images, upright_set.photos.images)
 
 
 @pytest.mark.filterwarnings("ignore:.*disagrees with the others")  # the lamps' tints
@@ -308,7 +317,7 @@ def test_lamps_and_photographs_that_are_turned_otherwise(
     lights = tmp_path / "lights.json"
     write_lamps(capture_lights(balls, [grey.mask], coded="linear").lamps, lights)
     assert read_lamps(lights).orientation == theirs
-    said = rf"orientation by EXIF: expected {theirs}, as the photographs had that gave"
+    said = rf"orientation by EXIF: expected {theirs}, as the photographs were read that gave"
     reference = Reference(str(tmp_path / f"g?-{own}-False.png"), grey.mask)
     with nullcontext() if fits else pytest.raises(InputError, match=said):
         capture_normals(matt, lights, grey.mask, coded="linear")
