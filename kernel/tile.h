@@ -118,8 +118,10 @@ struct Tile {
             for (int i = 0; i < tile_pixels; ++i) read(i, p[i]);
         else
             for (int i = 0; i < count; ++i) read(i, p[at[i] * step]);
-        table = others == 0 ? table_of[0] : -1;
-        if (known && scene.all_tables) return pad_tables();
+        if (known && scene.all_tables) {
+            table = others == 0 ? table_of[0] : -1;
+            return pad_tables();
+        }
         int kept = 0;
         for (int i = 0; i < count; ++i) {
             const auto k = static_cast<std::uint64_t>(p[at[i] * step]);
@@ -129,7 +131,7 @@ struct Tile {
             kept += k < tables && scene.tables[k].values;
         }
         count = kept;
-        table = count > 0 ? table_of[0] : 0;  // what was left out told nothing
+        table = table_of[0];
         for (int i = 0; i < count; ++i)
             if (table_of[i] != table_of[0]) table = -1;
         pad_tables();

@@ -11,7 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from raden_torch.arrays import Floats
-from raden_torch.capture.photo.camera import read_camera
+from raden_torch.capture.photo.camera import check_camera_size, read_camera
 from raden_torch.capture.photo.photo_set import PhotoSet
 from raden_torch.errors import InputError
 
@@ -53,12 +53,8 @@ class BallLens:
 
     def check_size(self, path: Path | None, size: tuple[int, int]) -> None:
         """Raise InputError where the camera of file `path` takes photographs of another size."""
-        if self.size is not None and self.size != size:
-            (h, w), (height, width) = self.size, size
-            raise InputError(
-                f"{path}: expected the camera that took the photographs, at their size of {width} "
-                f"x {height} pixels, got one of {w} x {h}"
-            )
+        if self.size is not None:
+            check_camera_size(path, self.size, size)
 
     def straight(self, image: NDArray[Any]) -> NDArray[Any]:
         """`[H, W, …]` without distortion."""

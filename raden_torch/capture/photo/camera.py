@@ -89,6 +89,18 @@ class Pose:
         return list((axes * np.sqrt(variance.clip(min=0))).T)
 
 
+def check_camera_size(
+    path: str | os.PathLike[str] | None, of_camera: tuple[int, int], size: tuple[int, int]
+) -> None:
+    """Raise InputError where photographs have another size than those of the camera of `path`."""
+    if of_camera != size:
+        (h, w), (height, width) = of_camera, size
+        raise InputError(
+            f"{path}: expected the camera that took the photographs, at their size of {width} x "
+            f"{height} pixels, got one of {w} x {h}"
+        )
+
+
 class PoseEntry(Struct):
     """One photograph of a camera file."""
 

@@ -111,10 +111,9 @@ def _read(path: PathLike, how: Development, exposure_s: float | None) -> Photogr
         white_level=how.white_level,
         exposure_s=exposure_s,
     )
-    wanted = how.orientation
-    if wanted is None and photo.settings.orientation is not None:
-        wanted = how.frame_orientation
-    return photo if wanted is None else photo.turned_to(wanted)
+    if how.orientation is not None:
+        return photo.turned_to(how.orientation)
+    return photo.in_frame(how.frame_orientation)
 
 
 def _times(paths: Sequence[PathLike], stated: Sequence[float], what: str) -> Sequence[float | None]:

@@ -79,7 +79,8 @@ def read_set(
     """
     if not paths:
         raise InputError("photographs: expected one per lamp, got none")
-    first, stated = _read(paths[0], coded, orientation)
+    as_stated = read_linear(paths[0], coded=coded)
+    first = as_stated.in_frame(orientation)
     height, width = first.size
     if 3 * height * width * len(paths) > MAX_VALUES:
         raise InputError(
@@ -90,7 +91,7 @@ def read_set(
     saturated = torch.empty(len(paths), 1, height, width, dtype=torch.bool)
     shots: list[tuple[Path, ShotSettings]] = []
     for k, path in enumerate(paths):
-        photo = first if k == 0 else _read(path, coded, orientation)[0]
+        photo = first if k == 0 else read_linear(path, coded=coded).in_frame(orientation)
         check_same_size([first, photo])
         if photo.bits != first.bits:
             raise InputError(
@@ -106,16 +107,8 @@ def read_set(
     brightness = relative_exposures(shots)
     if brightness is not None:
         images /= torch.tensor(brightness).view(-1, 1, 1, 1)
-    return PhotoSet(images, saturated, tuple(paths), first.settings.orientation, stated)
-
-
-def _read(path: Path, coded: Coding, orientation: int | None) -> tuple[Photograph, int | None]:
-    """A photograph, and the orientation that its file states."""
-    photo = read_linear(path, coded=coded)
-    stated = photo.settings.orientation
-    if orientation is None or stated is None:
-        return photo, stated
-    return photo.turned_to(orientation), stated
+    turned, stated = first.settings.orientation, as_stated.settings.orientation
+    return PhotoSet(images, saturated, tuple(paths), turned, stated)
 
 
 def check_masks(photos: PhotoSet, masks: Sequence[str | os.PathLike[str]]) -> None:
@@ -124,12 +117,20 @@ def check_masks(photos: PhotoSet, masks: Sequence[str | os.PathLike[str]]) -> No
     Raises:
         InputError: a mask beside photographs that are read in another orientation.
     """
-    if masks and photos.stated != photos.orientation:
-        raise InputError(
-            f"{masks[0]}: expected a mask beside photographs of the camera file's orientation, "
-            f"{photos.orientation}, got {photos.paths[0]} of EXIF's orientation {photos.stated}; "
-            f"{_RETAG.format(photos.orientation)}, and paint the mask over them"
-        )
+    wanted, own = photos.orientation, photos.stated
+    if masks and own != wanted:
+        advice = f"{_RETAG.format(wanted)}, and paint the mask over them"
+        raise turned_mask(masks[0], wanted, photos.paths[0], own, advice)
+
+
+def turned_mask(
+    mask: str | os.PathLike[str], wanted: int | None, path: Path, own: int | None, advice: str
+) -> InputError:
+    """Of a mask beside a photograph that is read in the wanted orientation, not its file's own."""
+    return InputError(
+        f"{mask}: expected a mask beside photographs of the camera file's orientation, {wanted}, "
+        f"got {path} of EXIF's orientation {own}; {advice}"
+    )
 
 
 def check_orientation(

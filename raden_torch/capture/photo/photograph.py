@@ -89,6 +89,17 @@ class Photograph:
             settings=replace(self.settings, orientation=orientation),
         )
 
+    def in_frame(self, orientation: int | None) -> Photograph:
+        """Turned by this EXIF orientation where the file states one of its own: a photograph
+        without lies as its camera's others. None: as the file says.
+
+        Raises:
+            InputError: as for `turned_to`.
+        """
+        if orientation is None or self.settings.orientation is None:
+            return self
+        return self.turned_to(orientation)
+
 
 def read_linear(
     path: str | os.PathLike[str],

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
 from raden_torch.capture.photo.brdf.lighting import Lamp, lamps_of_shots
 from raden_torch.capture.photo.brdf.shots import Shot, shots_of
-from raden_torch.capture.photo.camera import Camera, CameraFile, Pose, read_camera, read_poses
+from raden_torch.capture.photo.camera import (
+    Camera,
+    CameraFile,
+    Pose,
+    check_camera_size,
+    read_camera,
+    read_poses,
+)
 from raden_torch.capture.photo.development import developed
 from raden_torch.capture.photo.exposures import CEILING, unsaturated
 from raden_torch.capture.photo.lamps import read_lamps
@@ -93,12 +100,8 @@ def read_series(photographs: Sequence[Path], setup: CaptureSetup) -> PhotoSeries
     turned = frame.settings.orientation
     check_orientation(shots[0].files[0], turned, setup.lights, lamps.orientation)
     size = frame.size
-    if camera is not None and camera.size != size:
-        (h, w), (height, width) = camera.size, size
-        raise InputError(
-            f"{setup.camera}: expected the camera that took the photographs, at their size of "
-            f"{width} x {height} pixels, got one of {w} x {h}"
-        )
+    if camera is not None:
+        check_camera_size(setup.camera, camera.size, size)
     return PhotoSeries(shots, of_shots, camera, lamps.exponent, size, frame.colour, seen_in)
 
 

@@ -10,7 +10,7 @@ from raden_torch.capture.photo.brdf.capture_settings import CaptureSetup
 from raden_torch.capture.photo.camera import Camera, Pose
 from raden_torch.capture.photo.development import Development
 from raden_torch.capture.photo.lamps import Lamps
-from raden_torch.capture.photo.photo_set import lamp_numbers
+from raden_torch.capture.photo.photo_set import lamp_numbers, turned_mask
 from raden_torch.capture.photo.photograph import stated_orientation
 from raden_torch.errors import InputError
 
@@ -98,11 +98,9 @@ def check_masks(shots: Sequence[Shot], masks: Sequence[Path | None]) -> None:
             continue
         own = stated_orientation(shot.files[0])
         if own is not None and own != wanted:
-            raise InputError(
-                f"{mask}: expected a mask beside photographs of the camera file's orientation, "
-                f"{wanted}, got {shot.files[0]} of EXIF's orientation {own}; say where sample and "
-                "white lie on the board, or take all photographs with the camera held alike"
-            )
+            advice = "say where sample and white lie on the board, or take all photographs with "
+            advice += "the camera held alike"
+            raise turned_mask(mask, wanted, shot.files[0], own, advice)
 
 
 def _lamps(
